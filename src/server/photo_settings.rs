@@ -86,12 +86,18 @@ pub struct Settings {
     pub version: u32,
     /// Title of the photo, 1 to 200 characters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(
+        min_length = 1,
+        max_length = 200,
+        pattern = r"^[^\u0000-\u001f\u007f-\u009f]*[^\s\u0000-\u001f\u007f-\u009f][^\u0000-\u001f\u007f-\u009f]*$"
+    )]
     pub title: Option<String>,
     /// Range of the camera, each 0 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Offset>,
     /// Disparity that stays in place while the camera moves, 0 (infinity) to 1 (the nearest thing).
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0, maximum = 1)]
     pub focus: Option<f64>,
     /// Start position of the camera, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -102,6 +108,7 @@ pub struct Settings {
     pub idle: Option<Idle>,
     /// Speed of the idle motion, 0.25 to 4 times the default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.25, maximum = 4.0)]
     pub speed: Option<f64>,
     /// Who may see the photo, with private access: `private` (default), only its owner, or `link`, anyone with its address.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -8,7 +8,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::body::{Body, HttpBody};
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode, header};
 use bytes::Bytes;
 use http_body_util::{BodyExt, LengthLimitError, Limited};
 use hyper::body::{Frame, SizeHint};
@@ -90,6 +90,27 @@ pub async fn read(body: Body, most: usize) -> Result<Bytes, Problem> {
 /// 400.
 pub fn json_object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
     serde_json::from_slice(body).map_err(|e| Problem::bad_request(format!("the body must be a JSON object: {e}")))
+}
+
+/// Parameters in a JSON object: text and numbers as text, without those that are null.
+///
+/// # Errors
+/// 400, also if one is neither text nor a number.
+pub fn json_parameters(body: &[u8]) -> Result<Vec<(String, String)>, Problem> {
+    let text_of = |(name, value): (String, Value)| match value {
+        Value::Null => None,
+        Value::String(text) => Some(Ok((name, text))),
+        Value::Number(number) => Some(Ok((name, number.to_string()))),
+        _ => Some(Err(Problem::parameter(name, "must be text or a number"))),
+    };
+    json_object(body)?.into_iter().filter_map(text_of).collect()
+}
+
+/// The media type of a body in lower case, without its parameters; empty if the request does not say.
+#[must_use]
+pub fn media_type(headers: &HeaderMap) -> String {
+    let text = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
 }
 
 /// The unread rest of a body.

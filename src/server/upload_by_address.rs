@@ -7,7 +7,6 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use percent_encoding::percent_decode_str;
 use reqwest::Url;
-use serde_json::Value;
 
 use super::app_state::App;
 use super::fetch_by_url::{Fetched, SourceError, Validators};
@@ -125,15 +124,9 @@ pub async fn fetch_upload(
 
 /// Reads the object: addresses, and options as a form has them.
 async fn read(app: &App, mut fields: UploadFields, request: Request) -> Result<Addresses, Problem> {
-    let object = request_body::json_object(&request_body::read(request.into_body(), MOST).await?)?;
+    let parameters = request_body::json_parameters(&request_body::read(request.into_body(), MOST).await?)?;
     let (mut source, mut depth) = (None, None);
-    for (name, value) in object {
-        let text = match value {
-            Value::Null => continue,
-            Value::String(text) => text,
-            Value::Number(number) => number.to_string(),
-            _ => return Err(Problem::parameter(name, "must be text or a number")),
-        };
+    for (name, text) in parameters {
         match name.as_str() {
             SOURCE => source = Some(app.sources.address(&text).map_err(|e| problem(SOURCE, &e))?),
             DEPTH => depth = Some(app.sources.address(&text).map_err(|e| problem(DEPTH, &e))?),

@@ -39,26 +39,23 @@ impl ExportQuery {
     /// # Errors
     /// 400 that names the first parameter that is wrong.
     pub fn of(mut pairs: Pairs) -> Result<Self, Problem> {
-        let format = pairs.get("format").map_or(Ok(ExportFormat::default()), |value| {
-            let known = ExportFormat::from_extension(value);
-            known.ok_or_else(|| Problem::parameter("format", format!("must be html, glb, ora or zip, not {value:?}")))
-        })?;
+        let format = pairs.parse("format", "html, glb, ora or zip", ExportFormat::from_extension)?.unwrap_or_default();
         for name in ["shape", "textures"] {
             if format != ExportFormat::Glb && pairs.get(name).is_some() {
                 return Err(Problem::parameter(name, "requires format=glb"));
             }
         }
-        let shape = pairs.get("shape").map(|value| match value {
-            "relief" => Ok(ModelShape::Relief),
-            "metric" => Ok(ModelShape::Metric),
-            _ => Err(Problem::parameter("shape", format!("must be relief or metric, not {value:?}"))),
-        });
-        let textures = pairs.get("textures").map(|value| match value {
-            "plain" => Ok(ModelTextures::Plain),
-            "webp" => Ok(ModelTextures::WebP),
-            _ => Err(Problem::parameter("textures", format!("must be plain or webp, not {value:?}"))),
-        });
-        let (shape, textures) = (shape.transpose()?.unwrap_or_default(), textures.transpose()?.unwrap_or_default());
+        let shape = pairs.parse("shape", "relief or metric", |value| match value {
+            "relief" => Some(ModelShape::Relief),
+            "metric" => Some(ModelShape::Metric),
+            _ => None,
+        })?;
+        let textures = pairs.parse("textures", "plain or webp", |value| match value {
+            "plain" => Some(ModelTextures::Plain),
+            "webp" => Some(ModelTextures::WebP),
+            _ => None,
+        })?;
+        let (shape, textures) = (shape.unwrap_or_default(), textures.unwrap_or_default());
         Ok(Self { format, shape, textures, version: pairs.take("v") })
     }
 

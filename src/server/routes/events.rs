@@ -3,7 +3,7 @@
 use std::convert::Infallible;
 use std::time::Duration;
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
@@ -13,7 +13,7 @@ use tmpi_library::{Event as Happened, Photo, PhotoId, PhotoState as Phase, Subsc
 use tokio::time::Instant;
 
 use super::photo_state::{PhotoState, Progress};
-use super::query::NoQuery;
+use super::query::{Found, NoQuery};
 use crate::server::access::{Admission, Guard};
 use crate::server::app_state::App;
 use crate::server::client_slots::{ClientSlot, client_address};
@@ -175,16 +175,13 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
 /// `failed` or `damaged` (a `Problem`) or `deleted`; then the stream ends. A client that connects late gets the last stage first. The
 /// stream also ends when the client loses access.
 #[utoipa::path(
-    get, path = "/v1/photos/{id}/events", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    get, path = "/v1/photos/{id}/events", tag = "photos",
     responses(
         (status = 200, description = "Events until the photo is done, has failed or is deleted", body = Progress, content_type = "text/event-stream"),
-        (status = 400, description = "The route takes no parameters"),
-        (status = 404, description = "There is no such photo"),
         (status = 503, description = "Too many streams are open"),
     )
 )]
-pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
+pub async fn events(State(app): State<App>, _: NoQuery, Found(photo): Found) -> Result<Response, Problem> {
     let Some(place) = app.streams.take(client_address()) else {
         let detail = "too many event streams are open, in all or from your address";
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(5));

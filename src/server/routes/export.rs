@@ -3,12 +3,13 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use axum::extract::{Extension, Path, State};
+use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::Response;
 use tokio_util::sync::CancellationToken;
 
 use super::derived_answer::Derived;
+use super::query::Found;
 use crate::export::{self, ExportError, ExportFormat, ExportOptions};
 use crate::server::app_state::{App, AppState, DiskFullPolicy, Export, StoredFile};
 use crate::server::blocking_pool::WorkClass;
@@ -26,7 +27,7 @@ use crate::server::time_limit::TimeLimit;
 #[utoipa::path(
     get, path = "/v1/photos/{id}/export", tag = "photos",
     params(
-        ("id" = String, Path, description = "Id of the photo"), ExportQuery,
+        ExportQuery,
         ("Range" = Option<String>, Header, description = "One range of bytes"),
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
     ),
@@ -38,7 +39,6 @@ use crate::server::time_limit::TimeLimit;
             (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it"),
-        (status = 404, description = "There is no such photo"),
         (status = 409, description = "Not finished yet"),
         (status = 416, description = "There are no such bytes"),
         (status = 503, description = "Too much waits"),
@@ -47,11 +47,10 @@ use crate::server::time_limit::TimeLimit;
 pub async fn export(
     State(app): State<App>,
     Extension(clock): Extension<TimeLimit>,
-    Path(id): Path<String>,
+    Found(photo): Found,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
     let query = ExportQuery::read(&uri)?;
     let (format, model, asked) = (query.format, query.model(), query.version);
     let (version, done) = AppState::finished(&photo)?;

@@ -1,20 +1,20 @@
 //! Making a photo again.
 
 use axum::Json;
-use axum::extract::{Extension, Path, State};
+use axum::extract::{Extension, State};
 use axum::http::header::LOCATION;
 use axum::http::{HeaderMap, HeaderName, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 
 use super::photo_state::PhotoState;
 use super::photos::{prefer_wait, wait_for};
-use super::query::{NoBody, Pairs};
+use super::query::{Found, NoBody, Pairs};
 use crate::server::app_state::{App, AppState};
 use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload_fields::class_of;
-use tmpi_library::{Class, Photo, PhotoState as Phase};
+use tmpi_library::{Photo, PhotoState as Phase};
 
 /// Make a photo again.
 ///
@@ -23,7 +23,6 @@ use tmpi_library::{Class, Photo, PhotoState as Phase};
 #[utoipa::path(
     post, path = "/v1/photos/{id}/remake", tag = "photos",
     params(
-        ("id" = String, Path, description = "Id of the photo"),
         ("class" = Option<String>, Query, pattern = "^(interactive|batch)$", description = "`batch` for bulk work, which gives way to others; else `interactive`"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
     ),
@@ -31,7 +30,6 @@ use tmpi_library::{Class, Photo, PhotoState as Phase};
         (status = 200, description = "Made within the time of `Prefer: wait`", body = PhotoState),
         (status = 202, description = "In the queue", body = PhotoState, headers(("Location" = String, description = "Address of the photo"))),
         (status = 400, description = "A parameter is wrong, or there is a body"),
-        (status = 404, description = "There is no such photo"),
         (status = 409, description = "The photo is being made"),
         (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),
         (status = 507, description = "The disk is full"),
@@ -39,15 +37,13 @@ use tmpi_library::{Class, Photo, PhotoState as Phase};
 )]
 pub async fn remake(
     State(app): State<App>,
-    Path(id): Path<String>,
+    Found(photo): Found,
     Extension(clock): Extension<TimeLimit>,
     uri: Uri,
     headers: HeaderMap,
     _: NoBody,
 ) -> Result<Response, Problem> {
-    let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), class_of);
-    let class = class.ok_or_else(|| Problem::parameter("class", "must be interactive or batch"))?;
-    let photo = app.photo(&id).await?;
+    let class = Pairs::read(&uri, &["class"])?.parse("class", "interactive or batch", class_of)?.unwrap_or_default();
     let queued = app.library.remake(&photo, class, &AppState::requester(photo.owner.clone())).await?;
     answer(&app, queued, &headers, &clock).await
 }
