@@ -26,7 +26,7 @@ const OPAQUE_QUALITY: u8 = 85;
 const WEBP_SIDE: u32 = 16_383;
 
 /// The coordinate space of a model.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum ModelShape {
     /// A relief whose depth is a quarter of the photo's longer side. It fits the frame that viewers put around a model.
     #[default]
@@ -36,12 +36,13 @@ pub enum ModelShape {
 }
 
 /// The texture format of a model.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum ModelTextures {
     /// JPEG for opaque textures, otherwise PNG: every glTF reader supports these.
     #[default]
     Plain,
     /// Layers as WebP, a fraction of PNG's size, for readers with `EXT_texture_webp`: three.js, model-viewer, Babylon.js, Blender 4.
+    #[value(name = "webp")]
     WebP,
 }
 

@@ -36,36 +36,9 @@ pub struct Offset {
     pub z: f64,
 }
 
-/// The idle motion of a photo.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-pub struct Idle(String);
-
-impl Idle {
-    /// Name of no motion.
-    const NONE: &'static str = "none";
-
-    /// All names.
-    pub fn names() -> impl Iterator<Item = &'static str> {
-        Path::NAMES.into_iter().chain([Self::NONE])
-    }
-}
-
-impl TryFrom<String> for Idle {
-    type Error = String;
-
-    fn try_from(name: String) -> Result<Self, String> {
-        if Self::names().any(|known| known == name) {
-            return Ok(Self(name));
-        }
-        Err(format!("must be one of {}, not {name:?}", Self::names().collect::<Vec<_>>().join(", ")))
-    }
-}
-
-impl From<Idle> for String {
-    fn from(Idle(name): Idle) -> Self {
-        name
-    }
+/// Names of all idle motions.
+pub fn idle_names() -> impl Iterator<Item = &'static str> {
+    Path::NAMES.into_iter().chain(["none"])
 }
 
 /// Who may see a photo, with private access.
@@ -104,8 +77,8 @@ pub struct Settings {
     pub start: Option<Offset>,
     /// Idle motion; `none` for no motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, example = "orbit")]
-    pub idle: Option<Idle>,
+    #[schema(example = "orbit")]
+    pub idle: Option<String>,
     /// Speed of the idle motion, 0.25 to 4 times the default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.25, maximum = 4.0)]
@@ -266,9 +239,9 @@ fn visibility(name: &str, value: &Value) -> Result<Visibility, Problem> {
     }
 }
 
-fn idle(name: &str, value: &Value) -> Result<Idle, Problem> {
-    let text = value.as_str().ok_or_else(|| format!("must be text, not {value}"));
-    text.and_then(|text| Idle::try_from(text.to_owned())).map_err(|detail| Problem::parameter(name, detail))
+fn idle(name: &str, value: &Value) -> Result<String, Problem> {
+    let wrong = || Problem::parameter(name, format!("must be one of {}, not {value}", idle_names().collect::<Vec<_>>().join(", ")));
+    idle_names().find(|known| value == known).map(str::to_owned).ok_or_else(wrong)
 }
 
 /// A number from `least` to 1.
@@ -318,7 +291,7 @@ mod tests {
     fn idle_motions_have_the_names_of_film_paths() {
         for name in Path::NAMES.into_iter().chain(["none"]) {
             let one = Settings::default().patched(format!(r#"{{"idle": "{name}", "speed": 4}}"#).as_bytes()).unwrap();
-            assert_eq!((String::from(one.idle.clone().unwrap()).as_str(), one.speed), (name, Some(4.0)));
+            assert_eq!((one.idle.as_deref(), one.speed), (Some(name), Some(4.0)));
             assert_eq!(serde_json::from_slice::<Settings>(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
             assert_eq!(one.patched(br#"{"idle": null, "speed": null}"#).unwrap(), Settings::default());
         }

@@ -45,17 +45,7 @@ impl ExportQuery {
                 return Err(Problem::parameter(name, "requires format=glb"));
             }
         }
-        let shape = pairs.parse("shape", "relief or metric", |value| match value {
-            "relief" => Some(ModelShape::Relief),
-            "metric" => Some(ModelShape::Metric),
-            _ => None,
-        })?;
-        let textures = pairs.parse("textures", "plain or webp", |value| match value {
-            "plain" => Some(ModelTextures::Plain),
-            "webp" => Some(ModelTextures::WebP),
-            _ => None,
-        })?;
-        let (shape, textures) = (shape.unwrap_or_default(), textures.unwrap_or_default());
+        let (shape, textures) = (pairs.choice("shape")?.unwrap_or_default(), pairs.choice("textures")?.unwrap_or_default());
         Ok(Self { format, shape, textures, version: pairs.take("v") })
     }
 

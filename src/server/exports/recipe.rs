@@ -1,9 +1,10 @@
 //! The recipe of an export file: its format and parameters.
 
 use super::query::ExportQuery;
-use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures, ORA_BYTES};
+use crate::export::{ExportFormat, ModelOptions, ORA_BYTES};
 use crate::server::limits::Limits;
 use crate::server::photo_details::FinishedPhoto;
+use crate::server::photo_options::value_name;
 use crate::server::problem::Problem;
 use crate::server::routes::{Pairs, ViewQuery};
 use tmpi_render::{AnimationFormat, Arrangement, Path, StereoLayout};
@@ -68,15 +69,7 @@ impl Recipe {
     pub fn pairs(&self) -> Vec<(&'static str, String)> {
         match self {
             Self::File { format: ExportFormat::Glb, model: ModelOptions { shape, textures } } => {
-                let shape = match shape {
-                    ModelShape::Relief => "relief",
-                    ModelShape::Metric => "metric",
-                };
-                let textures = match textures {
-                    ModelTextures::Plain => "plain",
-                    ModelTextures::WebP => "webp",
-                };
-                [("format", "glb"), ("shape", shape), ("textures", textures)].map(|(name, value)| (name, value.to_owned())).into()
+                vec![("format", "glb".to_owned()), ("shape", value_name(shape)), ("textures", value_name(textures))]
             }
             Self::File { format, .. } => vec![("format", format.extension().to_owned())],
             Self::Film(query, size) => film_pairs(query, *size),

@@ -41,7 +41,6 @@ use super::app_state::App;
 use super::limits::Limits;
 use super::middleware;
 pub(super) use admin_listener::router as admin_router;
-pub(super) use photo_state::Progress as Stage;
 pub(crate) use query::{NoBody, Pairs};
 pub(super) use rendered_view_query::ViewQuery;
 

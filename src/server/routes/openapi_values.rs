@@ -4,9 +4,9 @@
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
-use crate::export::ExportFormat;
+use crate::export::{ExportFormat, ModelShape, ModelTextures};
 use crate::server::photo_options::value_name;
-use crate::server::photo_settings::{Idle, VERSION};
+use crate::server::photo_settings::{VERSION, idle_names};
 use tmpi_library::EventType;
 use tmpi_pipeline::depth::DepthKind;
 use tmpi_pipeline::{Denoise, PlaneMethod, Stereo, Switch};
@@ -43,7 +43,6 @@ pub fn add_values(document: &mut Value) {
     document["paths"]["/v1/photos/{id}/exports"]["post"]["requestBody"]["required"] = false.into();
     // no credentials are needed with open access, and for photos that their owner shows to everyone
     document["security"] = json!([{}, {"bearer": []}, {"cookie": []}]);
-    let (shapes, textures) = (json!(["relief", "metric"]), json!(["plain", "webp"]));
     let exports = ExportFormat::ALL.map(ExportFormat::extension).into_iter();
     let fields = [
         ("UploadForm", "class", json!(["interactive", "batch"])),
@@ -59,8 +58,8 @@ pub fn add_values(document: &mut Value) {
         ("UploadForm", "visibility", json!(["private", "link"])),
         ("UploadForm", "view_box", json!("^[^,]+,[^,]+,[^,]+$")),
         ("ExportOrder", "format", exports.clone().chain(["webp", "mp4"]).collect()),
-        ("ExportOrder", "shape", shapes.clone()),
-        ("ExportOrder", "textures", textures.clone()),
+        ("ExportOrder", "shape", words::<ModelShape>()),
+        ("ExportOrder", "textures", words::<ModelTextures>()),
         ("ExportOrder", "path", words::<Path>()),
     ];
     for (schema, field, allowed) in fields {
@@ -79,8 +78,8 @@ pub fn add_values(document: &mut Value) {
         ("view", "crop", json!("^[^,]+,[^,]+,[^,]+,[^,]+$")),
         ("view", "path", words::<Path>()),
         ("export", "format", exports.collect()),
-        ("export", "shape", shapes),
-        ("export", "textures", textures),
+        ("export", "shape", words::<ModelShape>()),
+        ("export", "textures", words::<ModelTextures>()),
         ("atlas", "region", json!("^[0-9]+,[0-9]+,[0-9]+,[0-9]+$")),
     ];
     for (route, name, allowed) in parameters {
@@ -108,7 +107,7 @@ fn settings(schemas: &mut Value) {
     motion["description"] = settings["motion"]["oneOf"][0]["description"].take();
     settings["motion"]["oneOf"][0] = motion;
     settings["version"]["enum"] = [VERSION].into();
-    let ways = Idle::names().map(Value::from).chain([Value::Null]);
+    let ways = idle_names().map(Value::from).chain([Value::Null]);
     settings["idle"]["enum"] = ways.collect();
 }
 

@@ -139,7 +139,7 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimi
     } else {
         upload::upload(&app, &query, request, owner).await?
     };
-    accepted(&app, photo, &clock, wait, is_new).await
+    answer(&app, photo, (&clock, wait), StatusCode::CREATED, is_new).await
 }
 
 /// Bytes of the body, as far as that is told.
@@ -153,8 +153,15 @@ fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
     Ok(uploader.map_or((None, false), |u| (Some(u.owner), u.is_new)))
 }
 
-/// The answer to an accepted upload. A new owner gets a link with the photo's token, without which they cannot see the photo.
-async fn accepted(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
+/// The state of a queued photo with the status `done` if it is made within the time of `Prefer: wait` and of the request, its problem if it
+/// fails, else 202. A new owner gets a link with the photo's token, without which they cannot see the photo.
+pub(super) async fn answer(
+    app: &App,
+    photo: Photo,
+    (clock, wait): (&TimeLimit, Option<u64>),
+    done: StatusCode,
+    is_new: bool,
+) -> Result<Response, Problem> {
     let photo = wait_for(app, photo, clock, wait).await?;
     let ready = wait.is_some() && photo.state.is_final();
     if ready && photo.state != Phase::Done {
@@ -164,7 +171,7 @@ async fn accepted(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>,
     }
     let mut state = PhotoState::of(app, &photo).await?;
     state.links.manage = app.guard.as_ref().filter(|_| is_new).map(|guard| guard.manage_link(&photo));
-    let status = if ready { StatusCode::CREATED } else { StatusCode::ACCEPTED };
+    let status = if ready { done } else { StatusCode::ACCEPTED };
     let location = state.links.this.clone();
     let mut response = (status, Json(state)).into_response();
     insert(&mut response, LOCATION, &location);
@@ -178,7 +185,7 @@ async fn accepted(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>,
 ///
 /// # Errors
 /// 404 where it was deleted, 503 where the library cannot be reached.
-pub(super) async fn wait_for(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>) -> Result<Photo, Problem> {
+async fn wait_for(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>) -> Result<Photo, Problem> {
     let Some(seconds) = wait else { return Ok(photo) };
     // counted from the end of the body; the longest wait is what the request has left
     let left = clock.deadline().map_or(Duration::ZERO, |at| at.saturating_duration_since(tokio::time::Instant::now()));

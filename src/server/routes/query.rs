@@ -9,8 +9,10 @@ use axum::body::HttpBody as _;
 use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
 use axum::http::Uri;
 use axum::http::request::Parts;
+use clap::ValueEnum;
 
 use crate::server::app_state::App;
+use crate::server::photo_options::value_name;
 use crate::server::problem::Problem;
 use crate::server::request_body;
 use tmpi_library::Photo;
@@ -82,6 +84,15 @@ impl Pairs {
     pub fn parse<T>(&self, name: &str, allowed: &str, parse: impl FnOnce(&str) -> Option<T>) -> Result<Option<T>, Problem> {
         let wrong = |text: &str| Problem::parameter(name, format!("must be {allowed}, not {text:?}"));
         self.get(name).map(|text| parse(text).ok_or_else(|| wrong(text))).transpose()
+    }
+
+    /// The choice in a parameter.
+    ///
+    /// # Errors
+    /// 400 with all choices if there is no such one.
+    pub fn choice<T: ValueEnum>(&self, name: &str) -> Result<Option<T>, Problem> {
+        let all: Vec<String> = T::value_variants().iter().map(value_name).collect();
+        self.parse(name, &format!("one of {}", all.join(", ")), |text| T::from_str(text, false).ok())
     }
 
     /// The number in a parameter.

@@ -1,20 +1,17 @@
 //! Making a photo again.
 
-use axum::Json;
 use axum::extract::{Extension, State};
-use axum::http::header::LOCATION;
-use axum::http::{HeaderMap, HeaderName, StatusCode, Uri};
-use axum::response::{IntoResponse, Response};
+use axum::http::{HeaderMap, StatusCode, Uri};
+use axum::response::Response;
 
 use super::photo_state::PhotoState;
-use super::photos::{prefer_wait, wait_for};
+use super::photos::{self, prefer_wait};
 use super::query::{Found, NoBody, Pairs};
 use crate::server::app_state::{App, AppState};
-use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload_fields::class_of;
-use tmpi_library::{Photo, PhotoState as Phase};
+use tmpi_library::Photo;
 
 /// Make a photo again.
 ///
@@ -48,25 +45,9 @@ pub async fn remake(
     answer(&app, queued, &headers, &clock).await
 }
 
-/// The state of a queued photo: 200 if it is made within the time of `Prefer: wait` and of the request, its problem if it fails, else 202.
+/// As [`photos::answer`], for a photo that is made again.
 pub(super) async fn answer(app: &App, photo: Photo, headers: &HeaderMap, clock: &TimeLimit) -> Result<Response, Problem> {
     // drop cache entries of the old version
     app.evict_photo(photo.id).await;
-    let wait = prefer_wait(headers);
-    let photo = wait_for(app, photo, clock, wait).await?;
-    let ready = photo.state.is_final();
-    if ready && photo.state != Phase::Done {
-        return Ok(Problem::of_photo(&photo).into_response());
-    }
-    let mut response = state(app, &photo, if ready { StatusCode::OK } else { StatusCode::ACCEPTED }).await?;
-    insert(&mut response, LOCATION, &format!("/v1/photos/{}", photo.id));
-    if let Some(seconds) = wait {
-        insert(&mut response, HeaderName::from_static("preference-applied"), &format!("wait={seconds}"));
-    }
-    Ok(response)
-}
-
-/// The state of a photo as an answer.
-pub(super) async fn state(app: &App, photo: &Photo, status: StatusCode) -> Result<Response, Problem> {
-    Ok((status, Json(PhotoState::of(app, photo).await?)).into_response())
+    photos::answer(app, photo, (clock, prefer_wait(headers)), StatusCode::OK, false).await
 }

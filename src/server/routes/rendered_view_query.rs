@@ -1,7 +1,6 @@
 //! Query parameters of a view.
 
 use axum::http::Uri;
-use clap::ValueEnum as _;
 
 use super::query::Pairs;
 use crate::server::limits::Limits;
@@ -157,7 +156,7 @@ impl ViewQuery {
         let crop = given.typed("crop")?;
         let sides = 1..=limits.view_side;
         let (w, h) = (given.number("w", &sides)?, given.number("h", &sides)?);
-        let path = given.parse("path", &format!("one of {}", Path::NAMES.join(", ")), Path::from_name)?;
+        let path = given.choice("path")?;
         if path.is_none() && given.get("frames").is_some() {
             return Err(Problem::parameter("frames", "requires path"));
         }
@@ -170,8 +169,7 @@ impl ViewQuery {
         let film = film.transpose()?;
         let still = || given.parse("format", "png, jpeg, webp or mpo", PictureFormat::from_extension);
         let format = if film.is_some() { None } else { still()? };
-        let layouts = StereoLayout::value_variants().iter().map(|layout| layout.name()).collect::<Vec<_>>().join(", ");
-        let stereo = given.parse("stereo", &format!("one of {layouts}"), StereoLayout::from_name)?;
+        let stereo = given.choice("stereo")?;
         let quilt = given.get("quilt").map(Arrangement::quilt).transpose().map_err(|e| Problem::parameter("quilt", e))?;
         if stereo.is_some() && quilt.is_some() {
             return Err(Problem::parameter("quilt", "cannot be combined with stereo"));

@@ -1,8 +1,9 @@
 //! Touch-up of a photo's depth.
 
+use axum::Json;
 use axum::extract::{Extension, Request, State};
-use axum::http::{HeaderMap, StatusCode, header};
-use axum::response::Response;
+use axum::http::{HeaderMap, header};
+use axum::response::{IntoResponse as _, Response};
 
 use super::photo_state::PhotoState;
 use super::photos::merge_patch;
@@ -94,7 +95,7 @@ pub async fn touch_up(
     let wanted = patch(&body).map_err(|e| Problem::from(&e))?.unwrap_or_else(|| before.clone());
     check_if_match(&headers, &stored(&before).etag)?;
     let answer = if before == wanted {
-        remake::state(&app, &photo, StatusCode::OK).await
+        PhotoState::of(&app, &photo).await.map(|state| Json(state).into_response())
     } else {
         let requester = AppState::requester(photo.owner.clone());
         let queued = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &requester).await?;
