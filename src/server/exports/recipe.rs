@@ -127,10 +127,6 @@ const fn ending(format: AnimationFormat) -> &'static str {
     }
 }
 
-fn way(path: Path) -> &'static str {
-    Path::NAMES.into_iter().find(|name| Path::from_name(name) == Some(path)).unwrap_or_default()
-}
-
 fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static str, String)> {
     let q = query;
     let number = |v: Option<f64>| v.map(|v| v.to_string());
@@ -142,11 +138,10 @@ fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static s
         Arrangement::Stereo(_) => None,
     });
     let crop = q.crop.map(|c| format!("{},{},{},{}", c.corner[0], c.corner[1], c.size[0], c.size[1]));
-    let film = q.film.map(|m| (ending(m.format), way(m.path), m.frames));
     let all = [
-        ("path", film.map(|m| m.1.to_owned())),
-        ("format", film.map(|m| m.0.to_owned())),
-        ("frames", film.map(|m| m.2.to_string())),
+        ("path", q.film.map(|film| value_name(&film.path))),
+        ("format", q.film.map(|film| ending(film.format).to_owned())),
+        ("frames", q.film.map(|film| film.frames.to_string())),
         ("w", Some(width.to_string())),
         ("h", Some(height.to_string())),
         ("tx", pose(q.tx)),

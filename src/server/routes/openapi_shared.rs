@@ -62,4 +62,17 @@ mod tests {
         }
         assert_eq!(answers["503"]["description"], "x");
     }
+
+    #[test]
+    fn a_route_has_the_shared_parameters_first_and_keeps_its_own_errors() {
+        let own = json!({"parameters": [{"name": "v", "in": "query"}], "responses": {"404": {"description": "There is no such file"}}});
+        let path = "/v1/photos/{id}/exports/{key}";
+        let mut document = json!({"paths": {path: {"get": own}}});
+        add_shared(&mut document);
+        let route = &document["paths"][path]["get"];
+        let names: Vec<&Value> = route["parameters"].as_array().unwrap().iter().map(|parameter| &parameter["name"]).collect();
+        assert_eq!(names, ["id", "key", "v"]);
+        assert_eq!(route["responses"]["404"]["description"], "There is no such file");
+        assert!(route["responses"]["400"]["description"].is_string());
+    }
 }
