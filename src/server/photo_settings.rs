@@ -29,10 +29,13 @@ const PIVOT: f64 = 0.35;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Offset {
     /// Right.
+    #[schema(minimum = -1.0, maximum = 1.0)]
     pub x: f64,
     /// Down.
+    #[schema(minimum = -1.0, maximum = 1.0)]
     pub y: f64,
     /// Forward.
+    #[schema(minimum = -1.0, maximum = 1.0)]
     pub z: f64,
 }
 
@@ -144,7 +147,7 @@ impl Settings {
                 "version" => return Err(Problem::parameter(name, format!("must be {VERSION}, not {value}"))),
                 "title" => new.title = optional(&value, |v| title(&name, v))?,
                 "motion" => new.motion = optional(&value, |v| offset(&name, v, self.motion, 1.0, 0.0))?,
-                "focus" => new.focus = optional(&value, |v| number(&name, v, 0.0))?,
+                "focus" => new.focus = optional(&value, |v| within(&name, v, [0.0, 1.0]))?,
                 "start" => new.start = optional(&value, |v| offset(&name, v, self.start, 0.0, -1.0))?,
                 "idle" => new.idle = optional(&value, |v| idle(&name, v))?,
                 "speed" => new.speed = optional(&value, |v| within(&name, v, SPEED))?,
@@ -244,11 +247,6 @@ fn idle(name: &str, value: &Value) -> Result<String, Problem> {
     idle_names().find(|known| value == known).map(str::to_owned).ok_or_else(wrong)
 }
 
-/// A number from `least` to 1.
-fn number(name: &str, value: &Value, least: f64) -> Result<f64, Problem> {
-    within(name, value, [least, 1.0])
-}
-
 fn within(name: &str, value: &Value, [least, most]: [f64; 2]) -> Result<f64, Problem> {
     let found = value.as_f64().filter(|v| (least..=most).contains(v));
     found.ok_or_else(|| Problem::parameter(name, format!("must be a number from {least} to {most}, not {value}")))
@@ -267,7 +265,7 @@ fn offset(name: &str, value: &Value, old: Option<Offset>, usual: f64, least: f64
             "z" => &mut new.z,
             _ => return Err(Problem::parameter(field, "there is no such axis; there are x, y, z")),
         };
-        *place = if value.is_null() { usual } else { number(&field, value, least)? };
+        *place = if value.is_null() { usual } else { within(&field, value, [least, 1.0])? };
     }
     Ok(new)
 }

@@ -90,20 +90,14 @@ pub fn add_values(document: &mut Value) {
     }
 }
 
-/// Writes the bounds of a photo's settings.
+/// Writes the versions, motions and idle motions of a photo's settings.
 fn settings(schemas: &mut Value) {
-    let bounded = |least: f64| {
-        let mut offset = schemas["Offset"].clone();
-        for axis in ["x", "y", "z"] {
-            (offset["properties"][axis]["minimum"], offset["properties"][axis]["maximum"]) = (least.into(), 1.0.into());
-        }
-        offset
-    };
-    let (reach, place) = (bounded(0.0), bounded(-1.0));
-    schemas["Offset"] = place;
-    let settings = &mut schemas["Settings"]["properties"];
     // a fraction of the view box, not a position in it
-    let mut motion = reach;
+    let mut motion = schemas["Offset"].clone();
+    for axis in ["x", "y", "z"] {
+        motion["properties"][axis]["minimum"] = 0.0.into();
+    }
+    let settings = &mut schemas["Settings"]["properties"];
     motion["description"] = settings["motion"]["oneOf"][0]["description"].take();
     settings["motion"]["oneOf"][0] = motion;
     settings["version"]["enum"] = [VERSION].into();
