@@ -9,6 +9,7 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures_util::{StreamExt as _, stream};
 use serde::Serialize;
+use serde_json::json;
 use tmpi_library::{Event as Happened, Photo, PhotoId, PhotoState as Phase, Subscription};
 use tokio::time::Instant;
 
@@ -22,12 +23,6 @@ use crate::server::problem::Problem;
 
 /// Interval of the checks of the queue and of the client's access.
 const QUEUE_LOOK: Duration = Duration::from_secs(1);
-
-/// Where a photo stands in the queue.
-#[derive(Serialize)]
-struct Position {
-    position: u64,
-}
 
 /// One open event stream.
 struct Listener {
@@ -62,7 +57,7 @@ impl Listener {
                 }
                 News::Stage(_) => return None,
                 News::Photo => self.fresh().await?,
-                News::Deleted => self.end("deleted", &serde_json::json!({})),
+                News::Deleted => self.end("deleted", &json!({})),
             };
             if !events.is_empty() {
                 return Some(events);
@@ -100,14 +95,14 @@ impl Listener {
 
     /// Events for the photo's current state; `None` if the client has lost access.
     async fn fresh(&mut self) -> Option<Vec<Event>> {
-        let Some(photo) = self.app.library.find(self.id).await.ok()? else { return Some(self.end("deleted", &serde_json::json!({}))) };
+        let Some(photo) = self.app.library.find(self.id).await.ok()? else { return Some(self.end("deleted", &json!({}))) };
         if !self.is_allowed(Some(&photo)).await {
             return None;
         }
         if photo.state == Phase::Queued {
             let position = self.app.library.position(self.id).await.ok()?.unwrap_or_default();
             let moved = self.queued.replace(position) != Some(position);
-            return Some(if moved { vec![event("queued", &Position { position })] } else { Vec::new() });
+            return Some(if moved { vec![event("queued", &json!({"position": position}))] } else { Vec::new() });
         }
         self.queued = None;
         if photo.state == Phase::Working {
