@@ -4,10 +4,10 @@
 use std::sync::OnceLock;
 
 use libfuzzer_sys::fuzz_target;
-use tmpi::fuzzing::{Run, TARGETS};
+use targets::{Run, TARGETS};
 
-#[path = "memory.rs"]
 mod memory;
+mod targets;
 
 /// Callers of the video decoders catch their panics, but the panic hook of libFuzzer's crate would abort first.
 fn ignore_panics_of_decoders() {

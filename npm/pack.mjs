@@ -13,7 +13,7 @@ const KINDS = new Set(['.js', '.wasm', '.wgsl']);
 const PUBLISHING = ['encoders.js', 'camera-frames.js', 'microphone.js', 'microphone-worklet.js', 'publisher.js'].map(
   (name) => `live/${name}`,
 );
-const OWN = ['README.md', 'tmpi-viewer.d.ts', 'rest.js', 'rest.d.ts', 'upload.html'];
+const OWN = ['README.md', 'tmpi-viewer.d.ts', 'rest-client.js', 'rest-client.d.ts', 'upload.html'];
 const LICENCES = ['LICENSE-MIT', 'LICENSE-APACHE'];
 
 /**

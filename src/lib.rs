@@ -4,7 +4,5 @@
 mod assets;
 pub mod cli;
 pub mod export;
-#[doc(hidden)]
-pub mod fuzzing;
 pub mod live;
 pub mod server;

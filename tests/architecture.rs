@@ -125,22 +125,15 @@ struct Modules {
 impl Modules {
     fn read(root: &Path) -> Self {
         let mut modules = Self::default();
-        let mut folders = vec![root.to_owned()];
-        while let Some(folder) = folders.pop() {
-            for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
-                if path.is_dir() {
-                    folders.push(path);
-                } else if path.extension().is_some_and(|e| e == "rs") {
-                    let mut names: Names =
-                        path.with_extension("").strip_prefix(root).unwrap().iter().map(|n| n.to_str().unwrap().to_owned()).collect();
-                    names.pop_if(|last| ["mod", "lib", "main"].contains(&last.as_str()));
-                    let source = std::fs::read_to_string(&path).unwrap();
-                    let code: String = source.lines().map(|line| line.split("//").next().unwrap().to_owned() + "\n").collect();
-                    let code = code.split("#[cfg(test)]\nmod ").next().unwrap().to_owned();
-                    if !names.iter().any(|name| name == "tests") {
-                        modules.sources.insert(names, code);
-                    }
-                }
+        for path in tmpi_testing::files_below(root).into_iter().filter(|path| path.extension().is_some_and(|e| e == "rs")) {
+            let mut names: Names =
+                path.with_extension("").strip_prefix(root).unwrap().iter().map(|n| n.to_str().unwrap().to_owned()).collect();
+            names.pop_if(|last| ["mod", "lib", "main"].contains(&last.as_str()));
+            let source = std::fs::read_to_string(&path).unwrap();
+            let code: String = source.lines().map(|line| line.split("//").next().unwrap().to_owned() + "\n").collect();
+            let code = code.split("#[cfg(test)]\nmod ").next().unwrap().to_owned();
+            if !names.iter().any(|name| name == "tests") {
+                modules.sources.insert(names, code);
             }
         }
         let sources = modules.sources.clone();

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 /// Files that start the server, with the number of calls in each.
@@ -43,20 +43,8 @@ fn read(file: &str) -> String {
 
 /// The text of all files in a folder of the repository, recursively.
 fn read_folder(folder: &str) -> String {
-    let mut folders: Vec<PathBuf> = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)];
-    let mut all = String::new();
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(&folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                all.push_str(&String::from_utf8_lossy(&fs::read(&path).unwrap()));
-                all.push('\n');
-            }
-        }
-    }
-    all
+    let files = tmpi_testing::files_below(&Path::new(env!("CARGO_MANIFEST_DIR")).join(folder));
+    files.iter().map(|path| String::from_utf8_lossy(&fs::read(path).unwrap()).into_owned() + "\n").collect()
 }
 
 /// Words that start with `start` and a letter, and consist of lower-case letters, digits and `also`.

@@ -2,12 +2,19 @@
 #![allow(clippy::unwrap_used, reason = "test")]
 #![allow(unsafe_code, reason = "an allocator that counts")]
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
-use tmpi::fuzzing::{Run, TARGETS};
+use targets::{Run, TARGETS};
+use tmpi_testing::png::chunk;
 
 #[path = "../fuzz/memory.rs"]
 mod memory;
+#[path = "../fuzz/targets/mod.rs"]
+mod targets;
+
+/// Folder with the seeds of each target.
+const SEEDS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/seeds");
 
 /// Mutations of each seed; `TMPI_FUZZ_CHANGES` overrides it, for longer runs without libFuzzer.
 const CHANGES: usize = 400;
@@ -49,7 +56,7 @@ fn mutated(seed: &[u8], random: &mut Random) -> Vec<u8> {
 }
 
 fn seeds(name: &str) -> Vec<(String, Vec<u8>)> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds").join(name);
+    let folder = Path::new(SEEDS).join(name);
     let mut files: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|e| e.unwrap().path()).collect();
     files.sort();
     assert!(!files.is_empty(), "{} has no seeds", folder.display());
@@ -74,11 +81,12 @@ fn targets_accept_seeds_and_mutations_within_their_memory_bound() {
     huge_metadata_takes_bounded_memory();
 }
 
-/// A PNG chunk with its checksum.
-fn png_chunk(name: [u8; 4], body: &[u8]) -> Vec<u8> {
-    let mut out = [(body.len() as u32).to_be_bytes().as_slice(), &name, body].concat();
-    out.extend_from_slice(&crc32fast::hash(&out[4..]).to_be_bytes());
-    out
+/// `cargo xtask fuzz` takes the names of the targets from the folders.
+#[test]
+fn every_folder_of_seeds_is_a_target() {
+    let folders: BTreeSet<String> =
+        std::fs::read_dir(SEEDS).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    assert_eq!(folders, TARGETS.iter().map(|(name, _)| (*name).to_owned()).collect());
 }
 
 /// Little-endian TIFF data with one entry, an orientation of `count` zero values of type `kind`.
@@ -96,12 +104,12 @@ fn huge_metadata_takes_bounded_memory() {
     let seed = &seeds("png")[0].1;
     let with = |chunk: Vec<u8>| [&seed[..33], &chunk, &seed[33..]].concat();
     // an orientation of 31 million empty strings
-    memory::hold(run, &with(png_chunk(*b"eXIf", &orientation(2, 31 << 20))));
+    memory::hold(run, &with(chunk(b"eXIf", &orientation(2, 31 << 20))));
     // a profile of zeros, a thousand times larger than its chunk
     let packed = zlib(&vec![0; 64 << 20]);
-    memory::hold(run, &with(png_chunk(*b"iCCP", &[b"p\0\0".as_slice(), &packed].concat())));
-    memory::hold(run, &with(png_chunk(*b"zTXt", &[b"p\0\0".as_slice(), &packed].concat())));
-    let many: Vec<u8> = (0..200_000).flat_map(|_| png_chunk(*b"tEXt", b"a\0b")).collect();
+    memory::hold(run, &with(chunk(b"iCCP", &[b"p\0\0".as_slice(), &packed].concat())));
+    memory::hold(run, &with(chunk(b"zTXt", &[b"p\0\0".as_slice(), &packed].concat())));
+    let many: Vec<u8> = (0..200_000).flat_map(|_| chunk(b"tEXt", b"a\0b")).collect();
     memory::hold(run, &with(many));
     // a JPEG segment with TIFF directories that point to each other
     let mut tiff = b"II*\0\x08\0\0\0".to_vec();

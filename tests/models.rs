@@ -4,13 +4,13 @@
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
-use tmpi_render::{PictureFormat, View, encode};
+use tmpi_testing::program::{self, Run};
 use tmpi_testing::{Answer, Need, Request, StandIn};
 
 #[path = "http/client.rs"]
@@ -75,39 +75,21 @@ fn digest() -> String {
     Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"))
 }
 
-/// A temporary folder with a photo, in which tests run the program.
-struct Folder(tempfile::TempDir);
+/// A temporary folder with a photo, in which tests run the program with only the networks of this folder.
+struct Folder(program::Folder);
 
 impl Folder {
     fn new() -> Self {
-        let folder = Self(tempfile::tempdir().unwrap());
-        let rgba = (0..64 * 48u32).map(|i| [(i % 64 * 4) as u8, (i / 64 * 5) as u8, 99, 255]).collect();
-        let photo = encode(&View { width: 64, height: 48, rgba }, PictureFormat::Png, 90).unwrap();
-        std::fs::write(folder.0.path().join("photo.png"), photo).unwrap();
-        folder
+        Self(program::Folder::of(env!("CARGO_BIN_EXE_tmpi")).with_box())
     }
 
     fn models(&self) -> PathBuf {
-        self.0.path().join("models")
-    }
-
-    /// The program, with only the networks in this folder.
-    fn command(&self) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-        let library = Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so");
-        if std::env::var_os("ORT_DYLIB_PATH").is_none() && library.is_file() {
-            command.env("ORT_DYLIB_PATH", library);
-        }
-        command.env("TMPI_MODELS", self.models()).env_remove("TMPI_DEPTH_MODEL").env_remove("RUST_LOG").current_dir(self.0.path());
-        command
+        self.0.path("models")
     }
 
     /// Returns standard output and standard error of a successful run.
     fn run(&self, args: &[&str]) -> (String, String) {
-        let output = self.command().args(args).output().unwrap();
-        let text = |b| String::from_utf8(b).unwrap();
-        let (out, err) = (text(output.stdout), text(output.stderr));
-        assert!(output.status.success(), "{args:?}: {err}");
+        let Run { out, err, .. } = self.0.run(args).succeeds();
         (out, err)
     }
 
@@ -118,8 +100,8 @@ impl Folder {
 
     /// The network that `make` reports.
     fn used(&self, more: &[&str]) -> String {
-        self.run(&[&["make", "photo.png", "-o", "photo.tmpi", "-qf", "--report", "report.json"], more].concat());
-        let report: serde_json::Value = serde_json::from_slice(&std::fs::read(self.0.path().join("report.json")).unwrap()).unwrap();
+        self.run(&[&["make", "box.png", "-o", "box.tmpi", "-qf", "--report", "report.json"], more].concat());
+        let report: serde_json::Value = serde_json::from_slice(&std::fs::read(self.0.path("report.json")).unwrap()).unwrap();
         report["depth_model"].as_str().unwrap().to_owned()
     }
 }
@@ -132,7 +114,7 @@ struct TmpiServer {
 
 impl TmpiServer {
     fn start(folder: &Folder, url: &str, sha256: &str) -> Self {
-        let mut command = folder.command();
+        let mut command = folder.0.command();
         command.args(["serve", "--addr", "127.0.0.1:0", "--data", "data", "--network-url", url, "--network-sha256", sha256]);
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut line = String::new();
@@ -183,7 +165,7 @@ impl Drop for TmpiServer {
 fn a_running_server_downloads_a_better_network() {
     let (folder, files) = (Folder::new(), FileServer::start());
     let digest = digest();
-    let photo = std::fs::read(folder.0.path().join("photo.png")).unwrap();
+    let photo = std::fs::read(folder.0.path("box.png")).unwrap();
     let has_onnx = Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
     let server = TmpiServer::start(&folder, &files.url, &digest);
     let before = server.network();

@@ -32,20 +32,17 @@ pub(super) struct ConfigArgs {
     pub shown: String,
 }
 
-/// Commands that take these settings.
-const COMMANDS: [&str; 3] = ["serve", "work", "config"];
-/// Commands that take only the settings for which they have an option. [`KEY`] has subcommands that do.
-const OTHERS: [&str; 2] = ["fsck", "gc"];
-const KEY: &str = "key";
+/// The command whose options are the settings.
+const SERVE: &str = "serve";
 /// Settings that are URLs, which may contain secrets.
 const ADDRESSES: [&str; 5] = ["advertise", "blobs", "database", "network-url", "otlp"];
 /// Options, besides those of networks, that a server passes to the processes that make photos. None may be a secret.
 const FOR_MAKERS: [&str; 4] = ["backend", "log", "memory", SET];
 /// Prefix of the variables.
 const PREFIX: &str = "TMPI_SERVE_";
-/// The option that names the file.
+/// The option that names the file. Commands that have it take the settings for which they have an option.
 const FILE: &str = "config";
-/// The option for settings without an option of their own.
+/// The option for settings without an option of their own. Commands that have it take all settings.
 const SET: &str = "set";
 /// The option whose values are tables of the file.
 const WEBHOOKS: &str = "webhooks";
@@ -55,36 +52,34 @@ const NO_SETTINGS: [&str; 4] = [FILE, SET, "schema", "help"];
 /// Longest file in bytes.
 const LONGEST: u64 = 1 << 20;
 
-/// Gives every option of `serve` an environment variable.
+/// Gives every option that is a setting an environment variable.
 pub(super) fn with_environment(all: Command) -> Command {
-    let open = |command: Command, is_one: &dyn Fn(&Arg) -> bool| {
-        command.mut_args(|arg| match variable(&arg).filter(|_| is_one(&arg)) {
-            Some(variable) => arg.env(variable).hide_env(true),
-            None => arg,
-        })
-    };
-    let all = COMMANDS.iter().fold(all, |all, name| all.mut_subcommand(name, |command| open(command, &|_| true)));
-    let settings = all.find_subcommand(COMMANDS[0]).cloned().unwrap_or_default();
-    let is_setting = |arg: &Arg| settings.get_arguments().any(|setting| setting.get_long() == arg.get_long());
-    let all = OTHERS.iter().fold(all, |all, name| all.mut_subcommand(name, |command| open(command, &is_setting)));
-    all.mut_subcommand(KEY, |key| {
-        let names: Vec<String> = key.get_subcommands().map(|command| command.get_name().to_owned()).collect();
-        names.iter().fold(key, |key, name| key.mut_subcommand(name, |command| open(command, &is_setting)))
+    let settings = all.find_subcommand(SERVE).cloned().unwrap_or_default();
+    with_variables(all, &settings)
+}
+
+fn with_variables(command: Command, settings: &Command) -> Command {
+    let command = command.mut_subcommands(|command| with_variables(command, settings));
+    if !has(&command, FILE) {
+        return command;
+    }
+    command.mut_args(|arg| match variable(&arg).filter(|_| arg.get_long().is_some_and(|long| has(settings, long))) {
+        Some(variable) => arg.env(variable).hide_env(true),
+        None => arg,
     })
 }
 
-/// The called command, if it takes settings, with its matches, and the command that defines all settings.
-fn called<'a>(all: &'a Command, given: &'a ArgMatches) -> Option<(&'a Command, &'a ArgMatches, &'a Command)> {
-    let (name, given) = given.subcommand()?;
-    let command = all.find_subcommand(name)?;
-    if name == KEY {
-        let (name, given) = given.subcommand()?;
-        return Some((command.find_subcommand(name)?, given, all.find_subcommand(COMMANDS[0])?));
+/// Whether a command has an option.
+fn has(command: &Command, long: &str) -> bool {
+    command.get_arguments().any(|arg| arg.get_long() == Some(long))
+}
+
+/// The called command, if it takes settings, with its matches.
+fn called<'a>(mut command: &'a Command, mut given: &'a ArgMatches) -> Option<(&'a Command, &'a ArgMatches)> {
+    while let Some((name, below)) = given.subcommand() {
+        (command, given) = (command.find_subcommand(name)?, below);
     }
-    if OTHERS.contains(&name) {
-        return Some((command, given, all.find_subcommand(COMMANDS[0])?));
-    }
-    COMMANDS.contains(&name).then_some((command, given, command))
+    has(command, FILE).then_some((command, given))
 }
 
 /// The name of an option's variable; `None` if it has one already or is not a setting.
@@ -108,9 +103,10 @@ pub(super) fn complete(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<Os
     let mut sources = Sources::default();
     // errors elsewhere are reported when the whole line is parsed
     let Ok(given) = all.clone().ignore_errors(true).try_get_matches_from(&line) else { return Ok((line, sources)) };
-    let Some((command, given, settings)) = called(all, &given) else { return Ok((line, sources)) };
+    let Some((command, given)) = called(all, &given) else { return Ok((line, sources)) };
     let refused = |why: String| command.clone().error(ErrorKind::ValueValidation, why);
-    let takes_all = command.get_arguments().any(|arg| arg.get_id() == SET);
+    let takes_all = has(command, SET);
+    let settings = if takes_all { command } else { all.find_subcommand(SERVE).unwrap_or(command) };
     let mut said: Vec<String> =
         given.try_get_many::<Assignment>(SET).ok().flatten().into_iter().flatten().map(|one| one.setting.name()).collect();
     let mut set = |setting: &'static Setting, value: &str, from: &mut Vec<String>| -> Result<(), String> {
@@ -184,10 +180,13 @@ fn parse(text: &str) -> Result<Table, String> {
     text.parse::<Table>().map_err(|e| e.to_string().trim_end().to_owned())
 }
 
-/// Fuzz target: parses a file and its values. Every refusal must have a reason.
-pub(crate) fn fuzz(text: &str) {
-    static SERVE: std::sync::OnceLock<Command> = std::sync::OnceLock::new();
-    let command = SERVE.get_or_init(|| ServeArgs::augment_args(Command::new(COMMANDS[0])));
+/// Fuzz target: parses a file and its values.
+///
+/// # Panics
+/// A refusal has no reason.
+pub fn fuzz(text: &str) {
+    static DEFINITION: std::sync::OnceLock<Command> = std::sync::OnceLock::new();
+    let command = DEFINITION.get_or_init(|| ServeArgs::augment_args(Command::new(SERVE)));
     match parse(text) {
         Err(why) => assert!(!why.is_empty()),
         Ok(table) => {
@@ -232,7 +231,7 @@ fn values(option: &Arg, value: &Value) -> Result<Vec<String>, String> {
 pub(super) fn for_makers(command: &Command, given: &ArgMatches) -> Vec<OsString> {
     let networks = ModelFlags::augment_args(Command::new(""));
     let is_one = |long: &str| FOR_MAKERS.contains(&long) || networks.get_arguments().any(|arg| arg.get_long() == Some(long));
-    let mut line = vec![OsString::from(COMMANDS[0])];
+    let mut line = vec![OsString::from(SERVE)];
     for option in command.get_arguments() {
         let (id, Some(long)) = (option.get_id().as_str(), option.get_long().filter(|long| is_one(long))) else { continue };
         if !matches!(given.value_source(id), Some(ValueSource::CommandLine | ValueSource::EnvVariable)) {

@@ -1,13 +1,13 @@
 //! `tmpi depth`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context;
 use serde_json::json;
 
 use super::flags::DepthFlags;
 use super::progress::{Bars, DepthAlone};
-use super::{Usage, files, result};
+use super::{Usage, files, result_as};
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::depth::to_png;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
@@ -67,14 +67,12 @@ pub(super) fn run(args: &DepthArgs) -> anyhow::Result<()> {
     };
     files::write(&args.output, &encode(&map, args.raw)?)?;
     let (low, high) = range(&map);
-    if args.json {
-        let about = json!({
-            "photo": args.photo, "output": args.output, "width": map.width, "height": map.height,
-            "model": models.depth.name(), "raw": args.raw, "least": low, "greatest": high,
-        });
-        return result(&about.to_string());
-    }
-    result(&format!("{}: {}×{}, disparity {low:.4} to {high:.4}", Path::new(&args.output).display(), map.width, map.height))
+    let about = json!({
+        "photo": args.photo, "output": args.output, "width": map.width, "height": map.height,
+        "model": models.depth.name(), "raw": args.raw, "least": low, "greatest": high,
+    });
+    let text = format!("{}: {}×{}, disparity {low:.4} to {high:.4}", args.output.display(), map.width, map.height);
+    result_as(args.json, &about, &text)
 }
 
 fn range(map: &DisparityMap) -> (f32, f32) {

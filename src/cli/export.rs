@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Context;
 use serde_json::json;
 
-use super::{Usage, files, result};
+use super::{Usage, files, result_as};
 use crate::export::{ExportFormat, ExportOptions, ModelOptions, ModelShape, ModelTextures, export};
 use tmpi_core::Rect;
 use tmpi_core::container::{self, LEVELS, RegionPhoto, TileRect};
@@ -62,14 +62,11 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     if format.is_none() && extension != "tmpi" {
         return Err(Usage(format!("--output {} must end in .html, .glb, .ora, .zip or .tmpi", args.output.display())).into());
     }
-    if args.title.is_some() && format != Some(ExportFormat::Html) {
-        return Err(Usage("--title is only for .html".into()).into());
-    }
-    if args.metric && format != Some(ExportFormat::Glb) {
-        return Err(Usage("--metric is only for .glb".into()).into());
-    }
-    if args.webp && format != Some(ExportFormat::Glb) {
-        return Err(Usage("--webp is only for .glb".into()).into());
+    let (html, glb) = (ExportFormat::Html, ExportFormat::Glb);
+    for (flag, is_given, only) in [("--title", args.title.is_some(), html), ("--metric", args.metric, glb), ("--webp", args.webp, glb)] {
+        if is_given && format != Some(only) {
+            return Err(Usage(format!("{flag} is only for .{}", only.extension())).into());
+        }
     }
     let start = Instant::now();
     let whole = files::read(&args.input)?;
@@ -85,11 +82,9 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let bytes = written.with_context(context)?.unwrap_or_else(|| container.clone());
     let ms = start.elapsed().as_secs_f64() * 1e3;
     files::write(&args.output, &bytes)?;
-    if args.json {
-        let format = format.map_or("tmpi", ExportFormat::extension);
-        let about = json!({ "output": args.output, "format": format, "bytes": bytes.len(), "container_bytes": whole.len(), "ms": ms });
-        return result(&about.to_string());
-    }
+    let format = format.map_or("tmpi", ExportFormat::extension);
+    let about = json!({ "output": args.output, "format": format, "bytes": bytes.len(), "container_bytes": whole.len(), "ms": ms });
     let times = bytes.len() as f64 / whole.len() as f64;
-    result(&format!("{}: {} bytes, {times:.2} × the container, in {ms:.1} ms", args.output.display(), bytes.len()))
+    let text = format!("{}: {} bytes, {times:.2} × the container, in {ms:.1} ms", args.output.display(), bytes.len());
+    result_as(args.json, &about, &text)
 }

@@ -5,9 +5,9 @@ use serde_json::json;
 use super::library_args::LibraryArgs;
 use super::{note, result};
 
-/// Check that every file of every photo exists and is intact; servers may run meanwhile
+/// The library to check or to clean up.
 #[derive(Clone, Debug, clap::Args)]
-pub(super) struct FsckArgs {
+pub(super) struct IntegrityArgs {
     #[command(flatten)]
     library: LibraryArgs,
     /// JSON on standard output
@@ -15,17 +15,7 @@ pub(super) struct FsckArgs {
     json: bool,
 }
 
-/// Remove files that no photo refers to and that are at least a day old; servers may run meanwhile
-#[derive(Clone, Debug, clap::Args)]
-pub(super) struct GcArgs {
-    #[command(flatten)]
-    library: LibraryArgs,
-    /// JSON on standard output
-    #[arg(long)]
-    json: bool,
-}
-
-pub(super) fn fsck(args: &FsckArgs) -> anyhow::Result<()> {
+pub(super) fn fsck(args: &IntegrityArgs) -> anyhow::Result<()> {
     let damage = args.library.with(false, async |library| Ok(library.fsck().await?))?;
     for found in &damage {
         note(&format!("{}: {found}", found.photo));
@@ -36,7 +26,7 @@ pub(super) fn fsck(args: &FsckArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-pub(super) fn gc(args: &GcArgs) -> anyhow::Result<()> {
+pub(super) fn gc(args: &IntegrityArgs) -> anyhow::Result<()> {
     let gone = args.library.with(false, async |library| Ok(library.gc().await?))?;
     let text = format!("{} removed, {} bytes", gone.blobs, gone.bytes);
     result(&if args.json { serde_json::to_string_pretty(&json!({ "removed": gone.blobs, "bytes": gone.bytes }))? } else { text })

@@ -2,12 +2,10 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context as _;
-
 use super::live_publish::{self, PublishArgs};
 use super::live_watch::{self, WatchArgs};
 use super::{files, result};
-use crate::live::{self as rooms, Role};
+use crate::live::{self as rooms, Grant};
 use crate::server::since_1970;
 
 /// Publish and watch moving 3D photos
@@ -49,7 +47,7 @@ pub(super) fn run(args: &LiveArgs) -> anyhow::Result<()> {
 }
 
 fn token(args: &TokenArgs) -> anyhow::Result<()> {
-    let role = if args.publish { Role::Publish } else { Role::Watch };
-    let token = rooms::room_token(&files::read(&args.key)?, role, &args.room, since_1970().as_secs() + u64::from(args.hours) * 3600);
-    result(&token.context("the key is invalid")?)
+    let grant = if args.publish { Grant::Publish } else { Grant::Watch };
+    let expires = since_1970().as_secs() + u64::from(args.hours) * 3600;
+    result(&rooms::room_token(&files::read(&args.key)?, grant, &args.room, expires))
 }

@@ -157,9 +157,7 @@ async fn connect(room: &str, what: &str, token: Option<&str>) -> Result<Socket, 
     if let Some(token) = token.or(own) {
         request.headers_mut().insert(AUTHORIZATION, format!("Bearer {token}").parse().context("the token is malformed")?);
     }
-    let mut config = WebSocketConfig::default();
-    config.max_message_size = Some(MAX_MESSAGE);
-    config.max_frame_size = Some(MAX_MESSAGE);
+    let config = WebSocketConfig::default().max_message_size(Some(MAX_MESSAGE)).max_frame_size(Some(MAX_MESSAGE));
     match connect_async_with_config(request, Some(config), true).await {
         Ok((socket, _)) => Ok(socket),
         Err(tungstenite::Error::Http(answer)) => {

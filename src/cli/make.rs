@@ -59,20 +59,9 @@ pub(super) struct MakeArgs {
 }
 
 pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
-    let one_map = || Usage("--depth takes the map of one photo; several photos were given".into());
-    if args.depth.is_some() && args.photos.len() > 1 {
-        return Err(one_map().into());
-    }
+    check_count(args, args.photos.len())?;
     let Batch { items, folder } = Batch::of(&args.photos, &args.output)?;
-    if args.depth.is_some() && items.len() > 1 {
-        return Err(one_map().into());
-    }
-    if args.second.is_some() && items.len() > 1 {
-        return Err(Usage("--second takes the other picture of one photo; several photos were given".into()).into());
-    }
-    if args.flags.strokes.is_some() && items.len() > 1 {
-        return Err(Usage("--strokes takes those of one photo; several photos were given".into()).into());
-    }
+    check_count(args, items.len())?;
     let total = items.len();
     let items: Vec<Item> = if args.force { items } else { items.into_iter().filter(|i| !i.output.exists()).collect() };
     let left = total - items.len();
@@ -123,6 +112,19 @@ pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
     }
     anyhow::ensure!(failed == 0, "{failed} of {} photos failed", items.len());
     Ok(())
+}
+
+/// Refuses flags that are about one photo if there are several.
+fn check_count(args: &MakeArgs, photos: usize) -> Result<(), Usage> {
+    let about_one = [
+        (args.depth.is_some(), "--depth takes the map"),
+        (args.second.is_some(), "--second takes the other picture"),
+        (args.flags.strokes.is_some(), "--strokes takes those"),
+    ];
+    match about_one.into_iter().find(|(is_given, _)| *is_given && photos > 1) {
+        Some((_, takes)) => Err(Usage(format!("{takes} of one photo; several photos were given"))),
+        None => Ok(()),
+    }
 }
 
 /// What all photos are made with.

@@ -2,7 +2,7 @@
 
 mod batch;
 mod better_network;
-pub(crate) mod config;
+mod config;
 mod depth;
 mod depth_pairs;
 mod export;
@@ -30,6 +30,9 @@ mod settings;
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 
+#[doc(hidden)]
+pub use config::fuzz as fuzz_config;
+
 use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
@@ -51,10 +54,12 @@ enum Command {
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
     /// Make photos that other nodes serve, like `serve --role work`
-    Work(WorkArgs),
+    Work(serve::ServeArgs),
     Config(config::ConfigArgs),
-    Fsck(integrity::FsckArgs),
-    Gc(integrity::GcArgs),
+    /// Check that every file of every photo exists and is intact; servers may run meanwhile
+    Fsck(integrity::IntegrityArgs),
+    /// Remove files that no photo refers to and that are at least a day old; servers may run meanwhile
+    Gc(integrity::IntegrityArgs),
     Models(models::ModelsArgs),
     Live(live::LiveArgs),
     Key(key::KeyArgs),
@@ -63,13 +68,6 @@ enum Command {
         /// The shell
         shell: clap_complete::Shell,
     },
-}
-
-/// The options of `serve` without the role.
-#[derive(Debug, clap::Args)]
-struct WorkArgs {
-    #[command(flatten)]
-    serve: serve::ServeArgs,
 }
 
 /// The command line's definition.
@@ -102,7 +100,7 @@ fn parsed() -> Result<(Option<String>, Cli), clap::Error> {
                 let wrong = |error: anyhow::Error| called.clone().error(ErrorKind::ValueValidation, error);
                 args.shown = config::shown(called, given, &sources, &args.serve).map_err(wrong)?;
             }
-            Command::Serve(args) | Command::Work(WorkArgs { serve: args }) => args.for_makers = config::for_makers(called, given),
+            Command::Serve(args) | Command::Work(args) => args.for_makers = config::for_makers(called, given),
             _ => {}
         }
     }
@@ -128,7 +126,7 @@ pub fn main() -> ExitCode {
         }
     };
     match &cli.command {
-        Command::Serve(args) | Command::Work(WorkArgs { serve: args }) => log_to_stderr("info", args.log),
+        Command::Serve(args) | Command::Work(args) => log_to_stderr("info", args.log),
         _ => log_to_stderr("error", Log::Text),
     }
     match run(cli.command) {
@@ -157,7 +155,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Depth(args) => depth::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Serve(args) => serve::run(args),
-        Command::Work(args) => serve::run(args.serve.at_work()?),
+        Command::Work(args) => serve::run(args.at_work()?),
         Command::Config(args) => {
             if !args.schema {
                 args.serve.check()?;
@@ -226,6 +224,11 @@ fn reasons(error: &anyhow::Error) -> String {
 /// Whether the reader of the results has closed the pipe.
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+/// Writes one line of results: an object, or text for people.
+fn result_as(is_json: bool, object: &serde_json::Value, text: &str) -> anyhow::Result<()> {
+    if is_json { result(&object.to_string()) } else { result(text) }
 }
 
 /// Writes one line of results.

@@ -8,7 +8,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::flags::{fov_x, numbers, quality, size};
-use super::{Usage, files, note, result};
+use super::{Usage, files, note, result_as};
 use tmpi_core::container;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
 use tmpi_render::{
@@ -112,6 +112,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     };
     let camera = Camera { pose: args.pose, intrinsics, width, height };
     let renderer = tmpi_render::select(args.backend)?;
+    let name = renderer.name();
     let frames = args.path.map_or(1, |_| args.frames);
     let range = MotionRange::of(&scene);
     let mut film = film.map(|format| Animation::start(format, (whole_width, whole_height), args.quality)).transpose()?;
@@ -137,27 +138,19 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
             continue;
         }
         files::write(&output, &tmpi_render::encode(&view, format, args.quality)?)?;
-        if args.json {
-            let (w, h) = (view.width, view.height);
-            let outside = is_outside(frame);
-            let about = json!({
-                "output": output, "width": w, "height": h, "backend": renderer.name(), "pose": camera.pose, "outside_view_box": outside, "ms": ms,
-            });
-            result(&about.to_string())?;
-        } else {
-            result(&format!("{}: {}×{}, {} in {ms:.1} ms", output.display(), view.width, view.height, renderer.name()))?;
-        }
+        let (w, h, outside) = (view.width, view.height, is_outside(frame));
+        let about = json!({
+            "output": output, "width": w, "height": h, "backend": name, "pose": camera.pose, "outside_view_box": outside, "ms": ms,
+        });
+        result_as(args.json, &about, &format!("{}: {w}×{h}, {name} in {ms:.1} ms", output.display()))?;
     }
     if let Some(film) = film {
         files::write(&args.output, &film.finish()?)?;
-        let (name, ms) = (renderer.name(), begun.elapsed().as_secs_f64() * 1e3);
-        if args.json {
-            let about =
-                json!({ "output": args.output, "width": whole_width, "height": whole_height, "backend": name, "frames": frames, "ms": ms });
-            result(&about.to_string())?;
-        } else {
-            result(&format!("{}: {whole_width}×{whole_height}, {frames} frames, {name} in {ms:.0} ms", args.output.display()))?;
-        }
+        let ms = begun.elapsed().as_secs_f64() * 1e3;
+        let about =
+            json!({ "output": args.output, "width": whole_width, "height": whole_height, "backend": name, "frames": frames, "ms": ms });
+        let text = format!("{}: {whole_width}×{whole_height}, {frames} frames, {name} in {ms:.0} ms", args.output.display());
+        result_as(args.json, &about, &text)?;
     }
     Ok(())
 }
@@ -183,7 +176,7 @@ fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
         (None, None) => return None,
     };
     let baseline = args.ipd.unwrap_or(usual);
-    Some(Rig { arrangement, baseline, focus: args.focus.unwrap_or_else(|| tmpi_render::pivot(scene)) })
+    Some(Rig { arrangement, baseline, focus: args.focus.unwrap_or_else(|| MotionRange::of(scene).pivot) })
 }
 
 /// `name-0001.png`, with as many digits as all frames need, at least four.

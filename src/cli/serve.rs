@@ -253,8 +253,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     if !makes_for_another {
         args.check()?;
     }
-    let (limits, private, public_list) = (args.limits()?, args.is_private(), args.access == Some(Access::Public));
-    let (settings, traces, proxies) = (args.models.settings(), args.traces()?, Proxies::new(&args.trusted_proxies));
+    let (limits, private, settings, traces) = (args.limits()?, args.is_private(), args.models.settings(), args.traces()?);
     let models = models::load(&settings)?;
     let maker = PipelineMaker::new(models.clone(), limits.photo()).with_identity(&identity(&settings)?);
     if makes_for_another {
@@ -279,46 +278,27 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "the server has no authentication: every client may see and change every photo whose URL it knows; see --access private"
         );
     }
-    let ServeArgs {
-        addr,
-        admin,
-        data,
-        database,
-        blobs,
-        role,
-        pages,
-        mut hosts,
-        tls_cert,
-        tls_key,
-        advertise,
-        webhooks,
-        private_webhooks,
-        source_hosts,
-        private_sources,
-        ..
-    } = args;
-    hosts.extend(advertise.map(|address| address.host().to_owned()));
     let reach = |is_private| if is_private { AddressPolicy::Any } else { AddressPolicy::Public };
     let config = Config {
-        addr,
-        admin,
-        data,
-        database,
-        blobs,
-        pages,
-        hosts,
-        proxies,
-        public_list,
+        addr: args.addr,
+        admin: args.admin,
+        data: args.data,
+        database: args.database,
+        blobs: args.blobs,
+        pages: args.pages,
+        hosts: args.hosts.into_iter().chain(args.advertise.map(|address| address.host().to_owned())).collect(),
+        proxies: Proxies::new(&args.trusted_proxies),
+        public_list: args.access == Some(Access::Public),
         private,
-        role,
+        role: args.role,
         traces,
-        webhooks,
-        webhook_addresses: reach(private_webhooks),
-        source_hosts,
-        source_addresses: reach(private_sources),
+        webhooks: args.webhooks,
+        webhook_addresses: reach(args.private_webhooks),
+        source_hosts: args.source_hosts,
+        source_addresses: reach(args.private_sources),
         limits,
     };
-    let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
+    let tls = args.tls_cert.zip(args.tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
         let mut server = Server::bind(config, Arc::new(maker), renderer).await?;

@@ -1,8 +1,7 @@
 //! A coarse sheet behind all layers that shows the photo's background. Users look at models from outside the view box, where they see the
 //! sheet instead of holes.
 
-use super::glb::disparity;
-use super::mesh::Space;
+use super::mesh::{Mesh, Space, disparity};
 use super::visible_surface::{inpainted, visible_disparity};
 use tmpi_core::{Photo, Scene};
 use tmpi_pipeline::photo::{reduced_size, resize};
@@ -18,46 +17,35 @@ const FOREGROUND: f32 = 0.12;
 /// Maximum side of the sheet's texture, in pixels.
 const SIDE: u32 = 1024;
 
-/// Mesh of the sheet.
-pub(super) struct Backdrop {
-    pub positions: Vec<[f32; 3]>,
-    pub coordinates: Vec<[f32; 2]>,
-    pub triangles: Vec<[u32; 3]>,
-    /// Texture.
-    pub photo: Photo,
-}
-
-impl Backdrop {
-    /// Builds the sheet behind the layers of `scene`.
-    pub fn of(scene: &Scene, space: &Space) -> Self {
-        let (width, height) = (scene.grid.width, scene.grid.height);
-        let side = width.max(height).div_ceil(SQUARES).max(1);
-        let (columns, rows) = (width.div_ceil(side) as usize, height.div_ceil(side) as usize);
-        let far = &farthest(scene, side, columns, rows);
-        // δ at a corner: the minimum of the adjacent squares
-        let at = |x: usize, y: usize| {
-            let squares = |i: usize, n: usize| i.saturating_sub(1)..(i + 1).min(n);
-            let all = squares(y, rows).flat_map(|v| squares(x, columns).map(move |u| far[v * columns + u]));
-            all.fold(f64::INFINITY, f64::min)
-        };
-        let (mut positions, mut coordinates, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
-        let mut corners = Vec::new();
-        for y in 0..=rows {
-            for x in 0..=columns {
-                let pixel = [(x as u32 * side).min(width), (y as u32 * side).min(height)].map(f64::from);
-                let delta = at(x, y);
-                corners.push(delta as f32);
-                positions.push(space.position(pixel, (delta - GAP) * space.gain + space.offset));
-                coordinates.push([(pixel[0] / f64::from(width)) as f32, (pixel[1] / f64::from(height)) as f32]);
-                if x < columns && y < rows {
-                    let a = (y * (columns + 1) + x) as u32;
-                    let [b, c, d] = [a + columns as u32 + 1, a + columns as u32 + 2, a + 1];
-                    triangles.extend([[a, b, c], [a, c, d]]);
-                }
+/// The sheet behind the layers of `scene`, and its texture.
+pub(super) fn backdrop(scene: &Scene, space: &Space) -> (Mesh, Photo) {
+    let (width, height) = (scene.grid.width, scene.grid.height);
+    let side = width.max(height).div_ceil(SQUARES).max(1);
+    let (columns, rows) = (width.div_ceil(side) as usize, height.div_ceil(side) as usize);
+    let far = &farthest(scene, side, columns, rows);
+    // δ at a corner: the minimum of the adjacent squares
+    let at = |x: usize, y: usize| {
+        let squares = |i: usize, n: usize| i.saturating_sub(1)..(i + 1).min(n);
+        let all = squares(y, rows).flat_map(|v| squares(x, columns).map(move |u| far[v * columns + u]));
+        all.fold(f64::INFINITY, f64::min)
+    };
+    let mut mesh = Mesh::default();
+    let mut corners = Vec::new();
+    for y in 0..=rows {
+        for x in 0..=columns {
+            let pixel = [(x as u32 * side).min(width), (y as u32 * side).min(height)].map(f64::from);
+            let delta = at(x, y);
+            corners.push(delta as f32);
+            mesh.positions.push(space.position(pixel, (delta - GAP) * space.gain + space.offset));
+            mesh.coordinates.push([(pixel[0] / f64::from(width)) as f32, (pixel[1] / f64::from(height)) as f32]);
+            if x < columns && y < rows {
+                let a = (y * (columns + 1) + x) as u32;
+                let [b, c, d] = [a + columns as u32 + 1, a + columns as u32 + 2, a + 1];
+                mesh.triangles.extend([[a, b, c], [a, c, d]]);
             }
         }
-        Self { positions, coordinates, triangles, photo: background(scene, &corners, columns + 1, side) }
     }
+    (mesh, background(scene, &corners, columns + 1, side))
 }
 
 /// Minimum δ of all layers in each square and its surroundings, at least 0.
@@ -118,7 +106,7 @@ mod tests {
     fn the_sheet_is_behind_all_layers_without_near_objects() {
         let scene = &testing::sample().1;
         let space = Space::relief(&scene.intrinsics, scene.grid.width, scene.grid.height);
-        let sheet = Backdrop::of(scene, &space);
+        let (sheet, texture) = backdrop(scene, &space);
         let k = &space.intrinsics;
         // from the photo's camera, the triangles cover the photo and face the camera
         let place = |i: u32| {
@@ -142,7 +130,7 @@ mod tests {
             }
         }
         assert!((area - f64::from(scene.grid.width * scene.grid.height)).abs() < 1e-2 * area, "{area}");
-        let at = |x: u32, y: u32| sheet.photo.rgb[(y * sheet.photo.width + x) as usize];
+        let at = |x: u32, y: u32| texture.rgb[(y * texture.width + x) as usize];
         assert!(at(70, 60)[0] < 180, "the box is gone: {:?}", at(70, 60));
         assert_eq!(at(20, 5), scene.photo.rgb[5 * 150 + 20]);
     }

@@ -4,16 +4,14 @@
 //! then the opaque texels of all other layers (alpha mode MASK); then the layers with soft edges (BLEND), back to front. That order does
 //! not depend on the camera.
 
-use std::collections::HashMap;
-
 use serde_json::json;
 
-use super::backdrop::Backdrop;
+use super::backdrop::backdrop;
 use super::glb_writer::File;
-use super::mesh::{Corner, Disparity, Space, polygons};
+use super::mesh::{Mesh, Space, disparity};
 use super::{ExportError, PhotoFile, photo_file, texture_atlas};
 use tmpi_core::container::encode_jpeg;
-use tmpi_core::{Class, Layer, Photo, Scene};
+use tmpi_core::{Class, Photo, Scene};
 use tmpi_render::OPAQUE;
 
 /// JPEG quality of a photo that must be re-encoded because core glTF does not support WebP.
@@ -72,11 +70,10 @@ pub fn glb(container: &[u8], scene: &Scene, options: ModelOptions, cancelled: &d
     };
     let mut file = File::default();
     if shape == ModelShape::Relief && !scene.layers.is_empty() {
-        let Backdrop { positions, coordinates, triangles, photo } = Backdrop::of(scene, &space);
+        let (mesh, photo) = backdrop(scene, &space);
         let texture = file.texture("background", &("image/jpeg", jpeg(&photo, OPAQUE_QUALITY)?));
-        let material = file.material("background", texture, &json!({}));
-        let vertices = file.vertices(&positions, &coordinates);
-        file.surface("background", &vertices, &triangles, material);
+        let vertices = file.vertices(&mesh);
+        file.surface("background", &vertices, &mesh.triangles, texture, &json!({}));
     }
     let (mut whole, mut layered) = (Vec::new(), Vec::new());
     for index in back_to_front(scene) {
@@ -95,9 +92,8 @@ pub fn glb(container: &[u8], scene: &Scene, options: ModelOptions, cancelled: &d
         let mut mesh = Mesh::default();
         let parts: Vec<_> = whole.iter().map(|&l| mesh.add(scene, l, &space, |[x, y]| [x / w, y / h])).collect();
         let texture = file.texture("photo", &photo_texture(&photo, scene)?);
-        let material = file.material("photo", texture, &json!({}));
-        let vertices = file.vertices(&mesh.positions, &mesh.coordinates);
-        file.surface("photo", &vertices, &mesh.pick(parts), material);
+        let vertices = file.vertices(&mesh);
+        file.surface("photo", &vertices, &mesh.pick(parts), texture, &json!({}));
     }
     for (n, page) in texture_atlas::pack(scene, &layered).iter().enumerate() {
         if cancelled() {
@@ -112,17 +108,17 @@ pub fn glb(container: &[u8], scene: &Scene, options: ModelOptions, cancelled: &d
             parts.push((place.layer, mesh.add(scene, place.layer, &space, |[x, y]| [(x + shift[0]) / w, (y + shift[1]) / h])));
         }
         let texture = file.texture(&format!("layers {n}"), &page_texture(scene, page, textures)?);
-        let vertices = file.vertices(&mesh.positions, &mesh.coordinates);
-        let of = |wanted: fn(Kind) -> bool| parts.iter().filter(move |(l, _)| wanted(kind(scene, *l))).map(|(_, part)| part.clone());
-        let opaque: Vec<_> = of(|k| matches!(k, Kind::Layered { opaque: true, .. })).collect();
-        let soft: Vec<_> = of(|k| matches!(k, Kind::Layered { soft: true, .. })).collect();
-        if !opaque.is_empty() {
-            let material = file.material(&format!("opaque {n}"), texture, &json!({ "alphaMode": "MASK", "alphaCutoff": OPAQUE }));
-            file.surface(&format!("opaque {n}"), &vertices, &mesh.pick(opaque), material);
-        }
-        if !soft.is_empty() {
-            let material = file.material(&format!("soft {n}"), texture, &json!({ "alphaMode": "BLEND" }));
-            file.surface(&format!("soft {n}"), &vertices, &mesh.pick(soft), material);
+        let vertices = file.vertices(&mesh);
+        let of = |wanted: fn(Kind) -> bool| -> Vec<_> {
+            parts.iter().filter(|(l, _)| wanted(kind(scene, *l))).map(|(_, part)| part.clone()).collect()
+        };
+        let opaque = of(|k| matches!(k, Kind::Layered { opaque: true, .. }));
+        let soft = of(|k| matches!(k, Kind::Layered { soft: true, .. }));
+        let mask = json!({ "alphaMode": "MASK", "alphaCutoff": OPAQUE });
+        for (name, parts, alpha) in [("opaque", opaque, mask), ("soft", soft, json!({ "alphaMode": "BLEND" }))] {
+            if !parts.is_empty() {
+                file.surface(&format!("{name} {n}"), &vertices, &mesh.pick(parts), texture, &alpha);
+            }
         }
     }
     file.finish(scene, &space)
@@ -149,10 +145,10 @@ fn page_texture(scene: &Scene, page: &texture_atlas::Page, textures: ModelTextur
 
 /// The photo's file if glTF supports its format, otherwise the re-encoded photo.
 fn photo_texture(photo: &PhotoFile<'_>, scene: &Scene) -> Result<(&'static str, Vec<u8>), ExportError> {
-    if photo.codec != "webp" {
-        return Ok((photo.media_type(), photo.bytes.to_vec()));
+    match photo.media_type {
+        "image/webp" => Ok(("image/jpeg", jpeg(&scene.photo, QUALITY)?)),
+        media_type => Ok((media_type, photo.bytes.to_vec())),
     }
-    Ok(("image/jpeg", jpeg(&scene.photo, QUALITY)?))
 }
 
 /// Kind of a layer by its texels.
@@ -179,12 +175,6 @@ fn kind(scene: &Scene, index: usize) -> Kind {
     }
 }
 
-/// δ of a layer in the photo's space.
-pub(super) fn disparity(scene: &Scene, layer: &Layer) -> Disparity {
-    let (centre, half, p) = (scene.grid.centre(layer.tile), scene.grid.half(), layer.plane);
-    Disparity { origin: [centre.0, centre.1], at: p.a, slope: [p.b / half, p.c / half] }
-}
-
 /// All layers by mean δ, then by index: the renderers' blending order.
 fn back_to_front(scene: &Scene) -> Vec<usize> {
     let middle = |from: u32, length: u32| f64::from(from) + f64::from(length) / 2.0;
@@ -193,46 +183,6 @@ fn back_to_front(scene: &Scene) -> Vec<usize> {
     let mut order: Vec<usize> = (0..mean.len()).collect();
     order.sort_by(|&a, &b| mean[a].total_cmp(&mean[b]).then(a.cmp(&b)));
     order
-}
-
-/// Vertices and triangles of many layers.
-#[derive(Default)]
-struct Mesh {
-    positions: Vec<[f32; 3]>,
-    coordinates: Vec<[f32; 2]>,
-    triangles: Vec<[u32; 3]>,
-}
-
-impl Mesh {
-    /// Adds a layer and returns its range of triangles. `texture` maps pixels of the photo to texture coordinates.
-    fn add(&mut self, scene: &Scene, index: usize, space: &Space, texture: impl Fn([f64; 2]) -> [f64; 2]) -> std::ops::Range<usize> {
-        let layer = &scene.layers[index];
-        let start = self.triangles.len();
-        // adjacent strips share corners
-        let mut indices = HashMap::new();
-        let [[left, right], [upper, lower]] = scene.grid.drawn(layer.tile, layer.rect);
-        if left >= right || upper >= lower {
-            return start..start;
-        }
-        let (x, y) = (f64::from(layer.rect.x), f64::from(layer.rect.y));
-        for polygon in polygons([x + left, y + upper], [x + right, y + lower], &disparity(scene, layer), space) {
-            let mut vertex = |corner: &Corner| {
-                *indices.entry(corner.position.map(f32::to_bits)).or_insert_with(|| {
-                    self.positions.push(corner.position);
-                    self.coordinates.push(texture(corner.pixel).map(|v| v as f32));
-                    self.positions.len() as u32 - 1
-                })
-            };
-            let corners: Vec<u32> = polygon.iter().map(&mut vertex).collect();
-            self.triangles.extend(corners[1..].windows(2).map(|pair| [corners[0], pair[0], pair[1]]));
-        }
-        start..self.triangles.len()
-    }
-
-    /// The triangles in these ranges.
-    fn pick(&self, parts: Vec<std::ops::Range<usize>>) -> Vec<[u32; 3]> {
-        parts.into_iter().flat_map(|part| &self.triangles[part]).copied().collect()
-    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::ExportError;
-use super::mesh::Space;
+use super::mesh::{Mesh, Space};
 use tmpi_core::Scene;
 
 /// Near plane of the file's camera.
@@ -49,7 +49,7 @@ impl File {
         push(&mut self.views, view)
     }
 
-    pub fn vertices(&mut self, positions: &[[f32; 3]], coordinates: &[[f32; 2]]) -> Vertices {
+    pub fn vertices(&mut self, Mesh { positions, coordinates, .. }: &Mesh) -> Vertices {
         let bound = |pick: fn(f32, f32) -> f32| -> Vec<f32> {
             (0..3).map(|axis| positions.iter().map(|p| p[axis]).reduce(pick).unwrap_or_default()).collect()
         };
@@ -73,7 +73,8 @@ impl File {
         push(&mut self.textures, texture)
     }
 
-    pub fn material(&mut self, name: &str, texture: usize, alpha: &Value) -> usize {
+    /// Adds triangles with a material of their own; `alpha` is its alpha mode.
+    pub fn surface(&mut self, name: &str, vertices: &Vertices, triangles: &[[u32; 3]], texture: usize, alpha: &Value) {
         let mut material = json!({
             "name": name,
             "doubleSided": true,
@@ -83,10 +84,7 @@ impl File {
         for (key, value) in alpha.as_object().into_iter().flatten() {
             material[key] = value.clone();
         }
-        push(&mut self.materials, material)
-    }
-
-    pub fn surface(&mut self, name: &str, vertices: &Vertices, triangles: &[[u32; 3]], material: usize) {
+        let material = push(&mut self.materials, material);
         let view = self.view(bytemuck::cast_slice(triangles), Some(INDICES));
         let count = triangles.len() * 3;
         let indices = json!({ "bufferView": view, "componentType": UNSIGNED_INT, "count": count, "type": "SCALAR" });
@@ -166,14 +164,14 @@ impl File {
         let total = u32::try_from(length).map_err(|_| ExportError::TooLarge("glb"))?;
         let mut out = Vec::with_capacity(length);
         out.extend_from_slice(b"glTF");
-        for word in [2, total, text.len() as u32, u32::from_le_bytes(*b"JSON")] {
+        for word in [2, total] {
             out.extend_from_slice(&word.to_le_bytes());
         }
-        out.extend_from_slice(&text);
-        for word in [self.binary.len() as u32, u32::from_le_bytes(*b"BIN\0")] {
-            out.extend_from_slice(&word.to_le_bytes());
+        for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &self.binary)] {
+            out.extend_from_slice(&(chunk.len() as u32).to_le_bytes());
+            out.extend_from_slice(kind);
+            out.extend_from_slice(chunk);
         }
-        out.extend_from_slice(&self.binary);
         Ok(out)
     }
 }

@@ -39,7 +39,7 @@ pub fn html(container: &[u8], title: &str) -> Result<Vec<u8>, ExportError> {
         hash(STYLE),
     );
     let (title, version) = (escaped(title), env!("CARGO_PKG_VERSION"));
-    let source = format!("data:{};base64,{}", photo.media_type(), STANDARD.encode(photo.bytes));
+    let source = format!("data:{};base64,{}", photo.media_type, STANDARD.encode(photo.bytes));
     let (before, after) = (STANDARD.encode(&container[..photo.range.start]), STANDARD.encode(&container[photo.range.end..]));
     let mut out = String::with_capacity(PAGE.len() + 8 * STYLE.len() + script.len() + container.len() / 3 * 4 + 1024);
     let mut rest = PAGE;

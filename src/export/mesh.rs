@@ -4,7 +4,9 @@
 //! triangle with δ between δ₀ and δ₁, the corner weights differ by at most q = (√δ₁ − √δ₀) / (√δ₁ + √δ₀), so texels are displaced by at
 //! most q times the triangle's size. The rectangle is cut along lines of equal δ into strips in which that is at most [`MAX_DISPLACEMENT`].
 
-use tmpi_core::Intrinsics;
+use std::collections::HashMap;
+
+use tmpi_core::{Intrinsics, Layer, Scene};
 
 /// In metric space, points beyond this distance are moved to it, in units of the photo's nearest distance.
 ///
@@ -69,7 +71,7 @@ const MERGE_DISTANCE: f64 = 1e-6;
 
 /// A corner of a polygon.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Corner {
+struct Corner {
     /// Position in space: x right, y up, z backward, as in glTF.
     pub position: [f32; 3],
     /// Position in the photo in pixels.
@@ -90,8 +92,14 @@ impl Disparity {
     }
 }
 
+/// δ of a layer in the photo's space.
+pub(super) fn disparity(scene: &Scene, layer: &Layer) -> Disparity {
+    let (centre, half, p) = (scene.grid.centre(layer.tile), scene.grid.half(), layer.plane);
+    Disparity { origin: [centre.0, centre.1], at: p.a, slope: [p.b / half, p.c / half] }
+}
+
 /// Converts the photo's rectangle between two corners to convex polygons that face the camera. `delta` is in the photo's space.
-pub(super) fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity, space: &Space) -> Vec<Vec<Corner>> {
+fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity, space: &Space) -> Vec<Vec<Corner>> {
     let delta = space.of(delta);
     // anticlockwise for a camera with y up
     let corners = [[x0, y0], [x0, y1], [x1, y1], [x1, y0]];
@@ -146,6 +154,47 @@ fn cut(polygon: &[[f64; 2]], inside: impl Fn([f64; 2]) -> f64) -> Vec<[f64; 2]> 
         out.pop();
     }
     out
+}
+
+/// Vertices and triangles.
+#[derive(Default)]
+pub(super) struct Mesh {
+    pub positions: Vec<[f32; 3]>,
+    /// Of the texture.
+    pub coordinates: Vec<[f32; 2]>,
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// Adds a layer and returns its range of triangles. `texture` maps pixels of the photo to texture coordinates.
+    pub fn add(&mut self, scene: &Scene, index: usize, space: &Space, texture: impl Fn([f64; 2]) -> [f64; 2]) -> std::ops::Range<usize> {
+        let layer = &scene.layers[index];
+        let start = self.triangles.len();
+        // adjacent strips share corners
+        let mut indices = HashMap::new();
+        let [[left, right], [upper, lower]] = scene.grid.drawn(layer.tile, layer.rect);
+        if left >= right || upper >= lower {
+            return start..start;
+        }
+        let (x, y) = (f64::from(layer.rect.x), f64::from(layer.rect.y));
+        for polygon in polygons([x + left, y + upper], [x + right, y + lower], &disparity(scene, layer), space) {
+            let mut vertex = |corner: &Corner| {
+                *indices.entry(corner.position.map(f32::to_bits)).or_insert_with(|| {
+                    self.positions.push(corner.position);
+                    self.coordinates.push(texture(corner.pixel).map(|v| v as f32));
+                    self.positions.len() as u32 - 1
+                })
+            };
+            let corners: Vec<u32> = polygon.iter().map(&mut vertex).collect();
+            self.triangles.extend(corners[1..].windows(2).map(|pair| [corners[0], pair[0], pair[1]]));
+        }
+        start..self.triangles.len()
+    }
+
+    /// The triangles in these ranges.
+    pub fn pick(&self, parts: Vec<std::ops::Range<usize>>) -> Vec<[u32; 3]> {
+        parts.into_iter().flat_map(|part| &self.triangles[part]).copied().collect()
+    }
 }
 
 #[cfg(test)]

@@ -137,26 +137,8 @@ struct PhotoFile<'a> {
     /// Byte range in the container.
     range: std::ops::Range<usize>,
     bytes: &'a [u8],
-    /// `jpeg`, `png` or `webp`.
-    codec: &'static str,
-}
-
-impl PhotoFile<'_> {
-    fn media_type(&self) -> &'static str {
-        match self.codec {
-            "png" => "image/png",
-            "webp" => "image/webp",
-            _ => "image/jpeg",
-        }
-    }
-
-    fn extension(&self) -> &'static str {
-        match self.codec {
-            "png" => "png",
-            "webp" => "webp",
-            _ => "jpg",
-        }
-    }
+    media_type: &'static str,
+    extension: &'static str,
 }
 
 fn photo_file(container: &[u8]) -> Result<PhotoFile<'_>, ExportError> {
@@ -164,7 +146,12 @@ fn photo_file(container: &[u8]) -> Result<PhotoFile<'_>, ExportError> {
     let photo = sections.iter().find(|s| s.kind == "photo").ok_or_else(|| ContainerError::Broken("there is no photo section".into()))?;
     let range = photo.offset as usize..(photo.offset + photo.length) as usize;
     let bytes = container.get(range.clone()).ok_or_else(|| ContainerError::Broken("the photo is truncated".into()))?;
-    Ok(PhotoFile { range, bytes, codec: photo.codec })
+    let (media_type, extension) = match photo.codec {
+        "png" => ("image/png", "png"),
+        "webp" => ("image/webp", "webp"),
+        _ => ("image/jpeg", "jpg"),
+    };
+    Ok(PhotoFile { range, bytes, media_type, extension })
 }
 
 #[cfg(test)]

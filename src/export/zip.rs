@@ -21,7 +21,7 @@ const VERSION: u32 = 1;
 /// [`ExportError`].
 pub fn zip(container: &[u8], scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, ExportError> {
     let photo = photo_file(container)?;
-    let photo_name = format!("photo.{}", photo.extension());
+    let photo_name = format!("photo.{}", photo.extension);
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     let text = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
     // pictures are already compressed

@@ -3,7 +3,7 @@
 //! Between them is a slot for one frame, not a queue. Viewers show a frame that is replaced there with the previous geometry.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
 use std::time::Instant;
@@ -121,7 +121,7 @@ impl FrameThreads {
 
     /// Queues a frame; false if the queue is full or the threads have ended.
     pub fn take(&self, coded: EncodedFrame) -> bool {
-        !matches!(self.frames.try_send(coded), Err(TrySendError::Full(_) | TrySendError::Disconnected(_)))
+        self.frames.try_send(coded).is_ok()
     }
 }
 

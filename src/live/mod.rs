@@ -53,10 +53,11 @@ use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
 pub use origin_client::NodeAddress;
 pub(crate) use request_access::RoomsContext;
-pub use signed_token::{Role, room_token};
+pub use signed_token::room_token;
 use tmpi_core::live::schema::Bye;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::write;
+pub use tmpi_library::Grant;
 
 use origin_client::Nodes;
 use origin_lease::Lease;

@@ -14,10 +14,10 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
+use super::Grant;
 use super::gop_buffer::{Group, GroupPart};
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::Room;
-use super::signed_token::Role;
 use crate::server::{ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 
@@ -84,7 +84,7 @@ fn handed_on(answer: Response) -> Response {
     )
 )]
 pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Grant::Watch, &uri, &headers).await?;
     let room = match find(&here, &name, "/frames/latest/atlas", access, &headers).await? {
         Ok(room) => room,
         Err(answer) => return Ok(answer),
@@ -129,7 +129,7 @@ pub async fn group(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Grant::Watch, &uri, &headers).await?;
     let none = || Problem::not_found("the server does not have this group of pictures");
     if group == "latest" {
         let place = match find(&here, &name, "/gops/latest", access, &headers).await? {

@@ -7,8 +7,8 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use super::signed_token::{Role, token_expiry, token_in_headers};
-use super::{Rooms, is_name};
+use super::signed_token::{token_expiry, token_in_headers};
+use super::{Grant, Rooms, is_name};
 use crate::server::{Pairs, Problem, check_origin, since_1970};
 
 /// State of the handlers.
@@ -25,17 +25,17 @@ pub struct RoomsContext {
 impl RoomsContext {
     /// Checks query, access and name. Pages of other sites may watch only with a token, because a browser sends requests for any page; they
     /// never publish.
-    pub(super) async fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<RoomAccess, Problem> {
+    pub(super) async fn check(&self, room: &str, grant: Grant, uri: &Uri, headers: &HeaderMap) -> Result<RoomAccess, Problem> {
         let query = Pairs::read(uri, &["token"])?;
         let same_site = check_origin(headers);
-        if role == Role::Publish {
+        if grant == Grant::Publish {
             same_site.clone()?;
         }
         let token = query.get("token").or_else(|| token_in_headers(headers));
         let access = match (&self.rooms.config.key, token, self.rooms.nodes.get()) {
-            (_, Some(token), Some(nodes)) if role == Role::Watch && nodes.admits(room, token).await => Some(RoomAccess::Node),
+            (_, Some(token), Some(nodes)) if grant == Grant::Watch && nodes.admits(room, token).await => Some(RoomAccess::Node),
             (Some(key), Some(token), _) => {
-                token_expiry(key, role, room, token, since_1970().as_secs()).map(|ends| RoomAccess::Until(deadline(ends)))
+                token_expiry(key, grant, room, token, since_1970().as_secs()).map(|ends| RoomAccess::Until(deadline(ends)))
             }
             _ => (same_site.is_ok() && (self.own)(headers)).then_some(RoomAccess::Until(None)),
         };

@@ -185,6 +185,11 @@ impl Ring {
         (self.key, self.kept) = (None, 0);
     }
 
+    /// The message with a number.
+    fn entry(&self, number: u64) -> Option<&Entry> {
+        self.entries.get(number.checked_sub(self.first)? as usize)
+    }
+
     /// Number of the next message.
     fn end(&self) -> u64 {
         self.first + self.entries.len() as u64
@@ -204,15 +209,9 @@ impl Ring {
     #[must_use]
     pub fn begin(&self, now: Instant) -> Cursor {
         let key = self.last_key();
-        Cursor { next: key.unwrap_or(self.end()), waits: key.is_none(), ..self.at_end(now) }
-    }
-
-    /// The place after the last message.
-    fn at_end(&self, now: Instant) -> Cursor {
-        let next = self.end();
         Cursor {
-            next,
-            waits: false,
+            next: key.unwrap_or(self.end()),
+            waits: key.is_none(),
             stale: false,
             known: None,
             visibility: Visibility::Seen,
@@ -241,7 +240,7 @@ impl Ring {
             if cursor.next < self.first || self.is_behind(cursor, now) {
                 return self.skip(cursor, now, cursor.next + 1);
             }
-            let Some(entry) = self.entries.get((cursor.next - self.first) as usize) else { return Step::Wait };
+            let Some(entry) = self.entry(cursor.next) else { return Step::Wait };
             if entry.what == MessageKind::Key && cursor.stale {
                 // send the dropped tiles before the key frame
                 cursor.stale = false;
@@ -279,7 +278,7 @@ impl Ring {
     }
 
     fn is_behind(&self, cursor: &Cursor, now: Instant) -> bool {
-        let Some(entry) = self.entries.get((cursor.next - self.first) as usize) else { return false };
+        let Some(entry) = self.entry(cursor.next) else { return false };
         let bytes = self.passed - entry.passed;
         bytes > BEHIND_BYTES || now.saturating_duration_since(entry.at.max(cursor.since)) > BEHIND
     }
@@ -287,7 +286,7 @@ impl Ring {
     /// Advances to the next sound.
     fn sound(&self, cursor: &mut Cursor, now: Instant) -> Step {
         cursor.next = cursor.next.max(self.first);
-        while let Some(entry) = self.entries.get((cursor.next - self.first) as usize) {
+        while let Some(entry) = self.entry(cursor.next) {
             cursor.next += 1;
             if entry.what == MessageKind::Sound && now.saturating_duration_since(entry.at) <= BEHIND {
                 return Step::Send(entry.bytes.clone());
@@ -301,19 +300,14 @@ impl Ring {
         let from = cursor.next;
         let step = self.go_on(cursor, now, least);
         let passed = from.max(self.first)..cursor.next;
-        let frames = passed.filter(|i| {
-            let entry = self.entries.get((i - self.first) as usize);
-            entry.is_some_and(|e| matches!(e.what, MessageKind::Key | MessageKind::Frame { .. }))
-        });
-        cursor.skipped += frames.count() as u64 + self.first.saturating_sub(from);
+        let is_frame = |n: &u64| self.entry(*n).is_some_and(|e| matches!(e.what, MessageKind::Key | MessageKind::Frame { .. }));
+        cursor.skipped += passed.filter(is_frame).count() as u64 + self.first.saturating_sub(from);
         step
     }
 
     /// Continues with the last key frame if its number is at least `least`, else with the next one.
     fn go_on(&self, cursor: &mut Cursor, now: Instant, least: u64) -> Step {
-        let near = |key: &u64| {
-            *key >= least && self.entries.get((key - self.first) as usize).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES)
-        };
+        let near = |key: &u64| *key >= least && self.entry(*key).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES);
         let key = self.last_key().filter(near);
         (cursor.next, cursor.waits, cursor.stale, cursor.since) = (key.unwrap_or(self.end()), key.is_none(), false, now);
         Step::Skipped { wants_key: key.is_none() }

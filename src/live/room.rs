@@ -105,6 +105,13 @@ impl Room {
         self.changes.send_modify(|n| *n = n.wrapping_add(1));
     }
 
+    /// Changes the state, then wakes those who wait for a change.
+    fn update<T>(&self, change: impl FnOnce(&mut State) -> T) -> T {
+        let done = change(&mut self.lock());
+        self.changed();
+        done
+    }
+
     /// Notifies of every change.
     pub fn watch(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
@@ -138,8 +145,7 @@ impl Room {
 
     /// Closes the room, which disconnects its viewers.
     pub fn close(&self) {
-        self.lock().closed = true;
-        self.changed();
+        self.update(|state| state.closed = true);
     }
 
     /// Takes the publisher's seat; false if it is taken or the room is closed.
@@ -150,28 +156,25 @@ impl Room {
 
     /// Begins an epoch with `hello`, for a new publisher or a new size of its pictures. Returns the epoch, at least `least`.
     pub fn publish(&self, mut hello: Hello, clock: u64, least: u64) -> u64 {
-        let mut state = self.lock();
-        state.farewell = None;
-        if let Some(edge) = state.edge.take() {
-            edge.cancel();
-        }
-        state.epoch = least.max(state.epoch + 1);
-        if !std::mem::replace(&mut state.publishing, true) {
-            state.publisher_epoch = state.epoch;
-        }
-        (hello.epoch, hello.clock) = (state.epoch, clock);
-        let chunks = Chunks::new(&hello);
-        state.begin(hello, chunks, Some(Groups::default()));
-        let epoch = state.epoch;
-        drop(state);
-        self.changed();
-        epoch
+        self.update(|state| {
+            state.farewell = None;
+            if let Some(edge) = state.edge.take() {
+                edge.cancel();
+            }
+            state.epoch = least.max(state.epoch + 1);
+            if !std::mem::replace(&mut state.publishing, true) {
+                state.publisher_epoch = state.epoch;
+            }
+            (hello.epoch, hello.clock) = (state.epoch, clock);
+            let chunks = Chunks::new(&hello);
+            state.begin(hello, chunks, Some(Groups::default()));
+            state.epoch
+        })
     }
 
     /// Records that the publisher has gone for good; viewers get `farewell`.
     pub fn end(&self, farewell: Bye) {
-        self.lock().farewell = Some(farewell);
-        self.changed();
+        self.update(|state| state.farewell = Some(farewell));
     }
 
     /// Why the publisher has gone for good.
@@ -181,13 +184,12 @@ impl Room {
 
     /// Frees the publisher's seat.
     pub fn unpublish(&self) {
-        let mut state = self.lock();
-        (state.taken, state.publishing) = (false, false);
-        if let Some(groups) = &mut state.groups {
-            groups.end();
-        }
-        drop(state);
-        self.changed();
+        self.update(|state| {
+            (state.taken, state.publishing) = (false, false);
+            if let Some(groups) = &mut state.groups {
+                groups.end();
+            }
+        });
     }
 
     /// Passes on a message of the publisher; drops it if `epoch` is not the current one.

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use tmpi_core::live::schema::bye::Cause;
 use utoipa::ToSchema;
 
+use super::Grant;
 use super::request_access::{RoomAccess, RoomsContext};
-use super::signed_token::Role;
 use crate::server::Problem;
 
 /// Longest state of a room from its origin, in bytes.
@@ -52,8 +52,8 @@ pub(super) async fn state(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Json<RoomState>, Problem> {
-    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
-    let may_publish = here.check(&name, Role::Publish, &uri, &headers).await.is_ok();
+    let access = here.check(&name, Grant::Watch, &uri, &headers).await?;
+    let may_publish = here.check(&name, Grant::Publish, &uri, &headers).await.is_ok();
     let room = here.rooms.get(&name);
     let full = room.as_ref().is_some_and(|room| room.is_full());
     let state = match room.filter(|room| !room.is_edge()) {
@@ -61,13 +61,8 @@ pub(super) async fn state(
         None if access == RoomAccess::Node => RoomState::default(),
         None => at_origin(&here, &name).await?.unwrap_or_default(),
     };
-    let ended = here
-        .rooms
-        .get(&name)
-        .and_then(|room| room.farewell())
-        .filter(|bye| bye.cause() == Cause::Rejected)
-        .map(|bye| bye.reason)
-        .or(state.ended);
+    let farewell = here.rooms.get(&name).and_then(|room| room.farewell()).filter(|bye| bye.cause() == Cause::Rejected);
+    let ended = farewell.map(|bye| bye.reason).or(state.ended);
     Ok(Json(RoomState { full, may_publish, ended, ..state }))
 }
 

@@ -15,8 +15,8 @@ use utoipa_axum::routes;
 
 use super::request_access::{RoomAccess, RoomsContext, busy, none_publishes};
 use super::room::ViewerKind;
-use super::signed_token::{PROTOCOL, Role, room_token, token_expiry, token_in_headers};
-use super::{plain_http, publisher, room_state, viewer};
+use super::signed_token::{PROTOCOL, room_token, token_expiry, token_in_headers};
+use super::{Grant, plain_http, publisher, room_state, viewer};
 use crate::server::{ConnectionGuard, NoBody, Pairs, Problem, since_1970};
 
 /// Write buffer of a viewer: the largest message and nothing else.
@@ -75,7 +75,7 @@ async fn publish(
     headers: HeaderMap,
     upgrade: Upgrade,
 ) -> Result<Response, Problem> {
-    let RoomAccess::Until(ends) = here.check(&name, Role::Publish, &uri, &headers).await? else { return Err(none_publishes()) };
+    let RoomAccess::Until(ends) = here.check(&name, Grant::Publish, &uri, &headers).await? else { return Err(none_publishes()) };
     // room for the other fields; a frame of up to twice the limit is read and refused with its size
     let bounds = here.rooms.bounds;
     let upgrade = bounded(upgrade, 2 * bounds.frame.max(bounds.sound) + 1024)?;
@@ -114,7 +114,7 @@ async fn subscribe(
     headers: HeaderMap,
     upgrade: Upgrade,
 ) -> Result<Response, Problem> {
-    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Grant::Watch, &uri, &headers).await?;
     let upgrade = bounded(upgrade, 1024)?;
     let (room, ends, kind) = match access {
         RoomAccess::Until(ends) => (here.rooms.watch_room(&name).await?, ends, ViewerKind::Local),
@@ -161,12 +161,12 @@ async fn watch_token(
     headers: HeaderMap,
     _: NoBody,
 ) -> Result<Json<WatchToken>, Problem> {
-    here.check(&name, Role::Publish, &uri, &headers).await?;
+    here.check(&name, Grant::Publish, &uri, &headers).await?;
     let query = Pairs::read(&uri, &["token"])?;
-    let token = here.rooms.config.key.as_ref().and_then(|key| {
+    let token = here.rooms.config.key.as_ref().map(|key| {
         let (given, now) = (query.get("token").or_else(|| token_in_headers(&headers)), since_1970().as_secs());
-        let end = given.and_then(|given| token_expiry(key, Role::Publish, &name, given, now)).unwrap_or(now + TOKEN_LIFETIME.as_secs());
-        room_token(key, Role::Watch, &name, end)
+        let end = given.and_then(|given| token_expiry(key, Grant::Publish, &name, given, now)).unwrap_or(now + TOKEN_LIFETIME.as_secs());
+        room_token(key, Grant::Watch, &name, end)
     });
     Ok(Json(WatchToken { token }))
 }

@@ -1,56 +1,20 @@
-//! Tokens of rooms. Checking one needs no database.
-//!
-//! A token is `EXPIRES.SIGNATURE`: seconds since 1970, and the first 16 bytes of HMAC-SHA-256 by the server's key over
-//! `ROLE ROOM EXPIRES`, as hexadecimal digits.
+//! Tokens of rooms: grants that the server's key signs. Checking one needs no database.
 
 use axum::http::{HeaderMap, header};
-use hmac::{Hmac, KeyInit, Mac};
-use sha2::Sha256;
+use tmpi_library::{Grant, Link, Millis, Secret, Subject};
 
-use crate::server::{constant_time_eq, hex};
-
-/// What a token allows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
-    /// Publishing.
-    Publish,
-    /// Watching.
-    Watch,
-}
-
-impl Role {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Publish => "publish",
-            Self::Watch => "watch",
-        }
-    }
-}
-
-/// Bytes of a signature.
-const SIGNATURE: usize = 16;
-
-fn signature(key: &[u8], role: Role, room: &str, expires: u64) -> Option<[u8; SIGNATURE]> {
-    let mut mac = Hmac::<Sha256>::new_from_slice(key).ok()?;
-    mac.update(format!("{} {room} {expires}", role.name()).as_bytes());
-    mac.finalize().into_bytes().first_chunk().copied()
-}
-
-/// A token for a room until `expires`, in seconds since 1970; `None` if the key is invalid.
+/// A token to publish in a room, or to watch it, until `expires`, in seconds since 1970.
 #[must_use]
-pub fn room_token(key: &[u8], role: Role, room: &str, expires: u64) -> Option<String> {
-    signature(key, role, room, expires).map(|s| format!("{expires}.{}", hex(&s)))
+pub fn room_token(key: &[u8], grant: Grant, room: &str, expires: u64) -> String {
+    Secret::of_key(key).sign(grant, Subject::Room(room), expires).to_string()
 }
 
-/// Expiry of a token in seconds since 1970; `None` if the token is not valid now for this room and role. A publisher may watch, too.
+/// Expiry of a token in seconds since 1970; `None` if the token is not valid now for this room and grant. A publisher may watch, too.
 #[must_use]
-pub fn token_expiry(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> Option<u64> {
-    let (expires, signed) = token.split_once('.')?;
-    let expires = expires.parse::<u64>().ok()?;
-    let same = |role| signature(key, role, room, expires).is_some_and(|good| constant_time_eq(hex(&good).as_bytes(), signed.as_bytes()));
-    let roles: &[Role] = if role == Role::Watch { &[Role::Watch, Role::Publish] } else { &[Role::Publish] };
-    let good = roles.iter().fold(false, |any, role| any | same(*role));
-    (good && now < expires).then_some(expires)
+pub fn token_expiry(key: &[u8], grant: Grant, room: &str, token: &str, now: u64) -> Option<u64> {
+    let (secret, link) = (Secret::of_key(key), token.parse::<Link>().ok()?);
+    let allows = |grant| secret.allows(grant, Subject::Room(room), &link, now as Millis * 1000);
+    (allows(grant) || grant == Grant::Watch && allows(Grant::Publish)).then_some(link.expires)
 }
 
 /// Prefix of a token among the WebSocket protocols: the one header of a WebSocket that a page can set.
@@ -71,23 +35,23 @@ pub fn token_in_headers(headers: &HeaderMap) -> Option<&str> {
 mod tests {
     use super::*;
 
-    fn is_good(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> bool {
-        token_expiry(key, role, room, token, now).is_some()
+    fn is_good(key: &[u8], grant: Grant, room: &str, token: &str, now: u64) -> bool {
+        token_expiry(key, grant, room, token, now).is_some()
     }
 
     #[test]
     fn a_token_is_valid_for_its_room_role_and_time_only() {
         let key = b"a key";
-        let watch = room_token(key, Role::Watch, "attic", 1000).unwrap();
-        let publish = room_token(key, Role::Publish, "attic", 1000).unwrap();
-        assert!(is_good(key, Role::Watch, "attic", &watch, 999) && is_good(key, Role::Publish, "attic", &publish, 999));
-        assert_eq!(token_expiry(key, Role::Watch, "attic", &publish, 999), Some(1000), "a publisher may watch");
-        assert!(!is_good(key, Role::Publish, "attic", &watch, 999), "a viewer may not publish");
-        assert!(!is_good(key, Role::Watch, "attic", &watch, 1000), "too late");
-        assert!(!is_good(key, Role::Watch, "cellar", &watch, 999) && !is_good(b"another", Role::Watch, "attic", &watch, 999));
-        let later = watch.replace("1000.", "2000.");
-        for wrong in ["", ".", "1000", "1000.", "x.y", &watch[..watch.len() - 1], &later] {
-            assert!(!is_good(key, Role::Watch, "attic", wrong, 999), "{wrong}");
+        let watch = room_token(key, Grant::Watch, "attic", 1000);
+        let publish = room_token(key, Grant::Publish, "attic", 1000);
+        assert!(is_good(key, Grant::Watch, "attic", &watch, 999) && is_good(key, Grant::Publish, "attic", &publish, 999));
+        assert_eq!(token_expiry(key, Grant::Watch, "attic", &publish, 999), Some(1000), "a publisher may watch");
+        assert!(!is_good(key, Grant::Publish, "attic", &watch, 999), "a viewer may not publish");
+        assert!(!is_good(key, Grant::Watch, "attic", &watch, 1000), "too late");
+        assert!(!is_good(key, Grant::Watch, "cellar", &watch, 999) && !is_good(b"another", Grant::Watch, "attic", &watch, 999));
+        let later = watch.replace("1000-", "2000-");
+        for wrong in ["", "-", "1000", "1000-", "x-y", &watch[..watch.len() - 1], &later] {
+            assert!(!is_good(key, Grant::Watch, "attic", wrong, 999), "{wrong}");
         }
     }
 
@@ -95,9 +59,9 @@ mod tests {
     fn tokens_come_as_bearers_or_as_websocket_protocols() {
         let of =
             |name, value| token_in_headers(&[(name, axum::http::HeaderValue::from_static(value))].into_iter().collect()).map(str::to_owned);
-        assert_eq!(of(header::AUTHORIZATION, "Bearer 1000.ab").as_deref(), Some("1000.ab"));
-        assert_eq!(of(header::AUTHORIZATION, "Basic 1000.ab"), None);
-        assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1, token.1000.ab").as_deref(), Some("1000.ab"));
+        assert_eq!(of(header::AUTHORIZATION, "Bearer 1000-ab").as_deref(), Some("1000-ab"));
+        assert_eq!(of(header::AUTHORIZATION, "Basic 1000-ab"), None);
+        assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1, token.1000-ab").as_deref(), Some("1000-ab"));
         assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1"), None);
     }
 }

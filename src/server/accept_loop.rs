@@ -23,7 +23,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
-use super::client_slots::{ClientLimits, ClientPermit};
+use super::client_slots::{ClientSlot, ClientSlots};
 use super::limits::Limits;
 use super::metrics::{GaugeGuard, Telemetry};
 use super::minimum_rate::{MinimumRate, SmallBuffer, limit_send_buffer};
@@ -74,7 +74,7 @@ pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, tel
     let Endpoint { listener, tls, proxies } = endpoint;
     let http = Http::new(limits);
     let room = Arc::new(Semaphore::new(limits.connections));
-    let shares = ClientLimits::new(limits.connections_per_address);
+    let shares = ClientSlots::per_address(limits.connections_per_address);
     let open = TaskTracker::new();
     loop {
         let accepted = tokio::select! {
@@ -135,10 +135,10 @@ impl Connection {
     /// Serves HTTP/1.1.
     async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>) {
         let inner = TowerToHyperService::new(self.router);
-        let (from, given) = (self.from, self.held.clone());
+        let (from, held) = (self.from, self.held);
         let service = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(from);
-            request.extensions_mut().insert(given.clone());
+            request.extensions_mut().insert(held.clone());
             if let Some(secure) = secure {
                 request.extensions_mut().insert(secure);
             }
@@ -155,18 +155,17 @@ impl Connection {
         if let Err(error) = ended {
             tracing::debug!(%error, "connection");
         }
-        drop(self.held);
     }
 
     /// Serves HTTP/2, only over TLS.
     async fn two<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S) {
         let streams = Streams::new();
         let inner = TowerToHyperService::new(self.router);
-        let (from, given, opened) = (self.from, self.held.clone(), Arc::clone(&streams));
+        let (from, held, opened) = (self.from, self.held, Arc::clone(&streams));
         let service = service_fn(move |mut request: Request<Incoming>| {
             let open = opened.open();
             request.extensions_mut().insert(from);
-            request.extensions_mut().insert(given.clone());
+            request.extensions_mut().insert(held.clone());
             request.extensions_mut().insert(Secure);
             name_host(&mut request);
             let answer = inner.call(request);
@@ -202,7 +201,6 @@ impl Connection {
         if let Err(error) = ended {
             tracing::debug!(%error, "connection");
         }
-        drop(self.held);
     }
 }
 
@@ -229,7 +227,7 @@ pub struct Peer(pub IpAddr);
 pub struct ConnectionGuard {
     little: Arc<AtomicBool>,
     #[expect(dead_code, reason = "held until it is dropped")]
-    all: Arc<(OwnedSemaphorePermit, ClientPermit, (GaugeGuard, TaskTrackerToken))>,
+    all: Arc<(OwnedSemaphorePermit, ClientSlot, (GaugeGuard, TaskTrackerToken))>,
 }
 
 impl ConnectionGuard {
@@ -249,7 +247,7 @@ fn is_of_the_client(error: &io::Error) -> bool {
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | NotConnected)
 }
 
-async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpStream, IpAddr, tokio::sync::OwnedSemaphorePermit)> {
+async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpStream, IpAddr, OwnedSemaphorePermit)> {
     let permit = Arc::clone(room).acquire_owned().await.map_err(io::Error::other)?;
     let (stream, peer) = listener.accept().await?;
     // answers are written in one go, so delaying for more data only adds latency; if this fails, the client has gone

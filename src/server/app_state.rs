@@ -14,7 +14,8 @@ use super::Config;
 use super::access::Guard;
 use super::blocking_pool::{BlockingPool, Slot, WorkClass};
 use super::cache::Cache;
-pub use super::cache_values::{Derived, DiskFullPolicy, Export, StoredFile, TempFolder, Version};
+pub use super::cache::Version;
+pub use super::cache_values::{Derived, DiskFullPolicy, Export, StoredFile, TempFolder};
 use super::client_slots::{ClientSlots, client_address};
 use super::depth_network_upgrade::Download;
 use super::fetch_by_url::Sources;
@@ -43,12 +44,6 @@ pub type App = Arc<AppState>;
 /// Time after which a fault of the server counts as over; failed jobs are retried at least every minute.
 const TROUBLE: Duration = Duration::from_mins(2);
 
-/// A fault of this server.
-struct Trouble {
-    reason: String,
-    at: Instant,
-}
-
 /// State of the server.
 pub struct AppState {
     /// Photos, jobs, owners, keys and rooms, in the database and the blob store.
@@ -62,17 +57,17 @@ pub struct AppState {
     /// Counters.
     pub telemetry: Arc<Telemetry>,
     /// Decoded scenes.
-    pub scenes: Cache<Version, Arc<Scene>>,
+    pub scenes: Cache<(), Arc<Scene>>,
     /// The download of the better depth network.
     pub download: Download,
     /// Small files, and open ones.
-    pub files: Cache<(Version, Part), StoredFile>,
+    pub files: Cache<Part, StoredFile>,
     /// Smaller levels and parts of containers.
-    pub levels: Cache<(Version, Derived), StoredFile>,
+    pub levels: Cache<Derived, StoredFile>,
     /// Encoded views by version and parameters.
-    pub views: Cache<(Version, String), StoredFile>,
+    pub views: Cache<String, StoredFile>,
     /// Files to download and films, on disk.
-    pub exports: Cache<(Version, String), Export>,
+    pub exports: Cache<String, Export>,
     /// Where views are drawn.
     pub pool: BlockingPool,
     /// Uploads in progress.
@@ -85,8 +80,8 @@ pub struct AppState {
     pub streams: ClientSlots,
     /// Result of the last check: why the library cannot be written, or what is missing to make photos.
     storage: Mutex<Option<&'static str>>,
-    /// The fault of this server that kept the last job from being done.
-    trouble: Mutex<Option<Trouble>>,
+    /// The fault of this server that kept the last job from being done, and when.
+    trouble: Mutex<Option<(String, Instant)>>,
     /// Folder for unnamed temporary files.
     pub scratch: PathBuf,
     /// Renders views.
@@ -192,13 +187,12 @@ impl AppState {
     #[must_use]
     pub fn trouble(&self) -> Option<String> {
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
-        trouble.as_ref().filter(|trouble| trouble.at.elapsed() < TROUBLE).map(|trouble| trouble.reason.clone())
+        trouble.as_ref().filter(|(_, at)| at.elapsed() < TROUBLE).map(|(reason, _)| reason.clone())
     }
 
     /// Stores the fault of the last job, if any.
     pub fn set_trouble(&self, reason: Option<String>) {
-        let trouble = reason.map(|reason| Trouble { reason, at: Instant::now() });
-        *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
+        *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = reason.map(|reason| (reason, Instant::now()));
     }
 
     /// Runs blocking `work` that reads an upload whole, when a permit is free.
@@ -298,7 +292,10 @@ impl AppState {
     pub async fn strokes(&self, photo: &Photo) -> Result<Vec<Stroke>, Problem> {
         let Some(blob) = photo.blobs.get(&Part::Strokes) else { return Ok(Vec::new()) };
         match self.library.blobs().read(Part::Strokes, blob).await {
-            Ok(bytes) => Ok(strokes_of(Some(&bytes))),
+            Ok(bytes) => Ok(strokes::read(&bytes).unwrap_or_else(|error| {
+                tracing::error!(%error, "damaged strokes are left out");
+                Vec::new()
+            })),
             Err(LibraryError::Damaged { .. }) => Ok(Vec::new()),
             Err(error) => Err(error.into()),
         }
@@ -389,7 +386,7 @@ impl AppState {
             took = Some(start.elapsed());
             Ok::<_, Problem>(Arc::new(scene))
         };
-        let scene = self.scenes.get(version, decode).await?;
+        let scene = self.scenes.get((version, ()), decode).await?;
         Ok((scene, took))
     }
 
@@ -430,15 +427,4 @@ pub struct AppParts {
     pub openapi: Bytes,
     /// Fetches photos by address.
     pub sources: Sources,
-}
-
-/// Parses strokes. Damaged ones are logged and count as none.
-#[must_use]
-pub fn strokes_of(bytes: Option<&[u8]>) -> Vec<Stroke> {
-    bytes.map_or_else(Vec::new, |bytes| {
-        strokes::read(bytes).unwrap_or_else(|error| {
-            tracing::error!(%error, "damaged strokes are left out");
-            Vec::new()
-        })
-    })
 }

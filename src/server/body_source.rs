@@ -43,50 +43,36 @@ impl Source {
     /// # Errors
     /// If it cannot be read.
     pub async fn head(&self, most: usize) -> io::Result<Bytes> {
-        let end = most.min(self.len());
+        self.read(0..most.min(self.len())).await
+    }
+
+    async fn read(&self, range: Range<usize>) -> io::Result<Bytes> {
         match self {
-            Self::Memory(bytes) => Ok(bytes.slice(..end)),
+            Self::Memory(bytes) => Ok(bytes.slice(range)),
             Self::File(file, _) => {
                 let file = Arc::clone(file);
-                tokio::task::spawn_blocking(move || read_at(&file, 0..end).map(Bytes::from)).await.map_err(io::Error::other)?
+                tokio::task::spawn_blocking(move || read_at(&file, range).map(Bytes::from)).await?
             }
-            Self::Object(store, blob) => store.read_range(blob, 0..end as u64).await.map_err(io::Error::other),
+            Self::Object(store, blob) => store.read_range(blob, range.start as u64..range.end as u64).await.map_err(io::Error::other),
         }
     }
 
     /// A body that sends `range` of it.
     pub fn body(self, range: Range<usize>) -> Body {
-        match self {
-            Self::Memory(bytes) => Body::from(bytes.slice(range)),
-            Self::File(file, _) => {
-                let pieces = stream::try_unfold(range, move |left| {
-                    let file = Arc::clone(&file);
-                    async move {
-                        if left.is_empty() {
-                            return Ok(None);
-                        }
-                        let end = left.end.min(left.start + PIECE);
-                        let read = move || read_at(&file, left.start..end).map(|piece| (Bytes::from(piece), end..left.end));
-                        tokio::task::spawn_blocking(read).await.map_err(io::Error::other)?.map(Some)
-                    }
-                });
-                Body::from_stream(pieces)
+        let most = match &self {
+            Self::Memory(bytes) => return Body::from(bytes.slice(range)),
+            Self::File(..) => PIECE,
+            Self::Object(..) => OBJECT_PIECE,
+        };
+        let pieces = stream::try_unfold((self, range), move |(source, left)| async move {
+            if left.is_empty() {
+                return Ok::<_, io::Error>(None);
             }
-            Self::Object(store, blob) => {
-                let pieces = stream::try_unfold(range, move |left| {
-                    let (store, blob) = (store.clone(), Arc::clone(&blob));
-                    async move {
-                        if left.is_empty() {
-                            return Ok(None);
-                        }
-                        let end = left.end.min(left.start + OBJECT_PIECE);
-                        let piece = store.read_range(&blob, left.start as u64..end as u64).await.map_err(io::Error::other)?;
-                        Ok::<_, io::Error>(Some((piece, end..left.end)))
-                    }
-                });
-                Body::from_stream(pieces)
-            }
-        }
+            let end = left.end.min(left.start + most);
+            let piece = source.read(left.start..end).await?;
+            Ok(Some((piece, (source, end..left.end))))
+        });
+        Body::from_stream(pieces)
     }
 }
 

@@ -16,29 +16,25 @@ const OVERHEAD: usize = 1536;
 /// Epochs after which removed entries are freed, and one that may have begun already.
 const EPOCHS: usize = 3;
 
-/// Key of a cache entry.
-pub trait Key: Clone + Eq + Hash + Send + Sync + 'static {
-    /// The photo that it belongs to.
-    fn photo(&self) -> PhotoId;
+/// A version of a photo: id and time of making, so that an entry of a deleted photo never serves a new one with the same id.
+pub type Version = (PhotoId, u64);
 
+/// Part of a cache entry.
+pub trait Weight: Clone + Send + Sync + 'static {
     /// Bytes on the heap.
     fn weight(&self) -> usize {
         0
     }
 }
 
-/// Value of a cache entry.
-pub trait Value: Clone + Send + Sync + 'static {
-    /// Bytes on the heap.
-    fn weight(&self) -> usize;
-}
+type Entries<K, V> = Kept<(Version, K), V>;
 
-/// Keeps keys and values of at most `budget` bytes together; evicts the least recently used first.
+/// Keeps values by version and key, of at most `budget` bytes together; evicts the least recently used first.
 pub struct Cache<K, V> {
-    kept: Kept<K, V>,
+    kept: Entries<K, V>,
 }
 
-impl<K: Key, V: Value> Cache<K, V> {
+impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
     /// An empty cache of `budget` bytes.
     #[must_use]
     pub fn new(budget: usize) -> Self {
@@ -51,8 +47,8 @@ impl<K: Key, V: Value> Cache<K, V> {
         Self::built(budget, Kept::builder().time_to_idle(rest))
     }
 
-    fn built(budget: usize, builder: CacheBuilder<K, V, Kept<K, V>>) -> Self {
-        let weigh = |key: &K, value: &V| u32::try_from(key.weight() + value.weight() + OVERHEAD).unwrap_or(u32::MAX);
+    fn built(budget: usize, builder: CacheBuilder<(Version, K), V, Entries<K, V>>) -> Self {
+        let weigh = |(_, key): &(Version, K), value: &V| u32::try_from(key.weight() + value.weight() + OVERHEAD).unwrap_or(u32::MAX);
         let kept = builder
             .max_capacity(budget as u64)
             .weigher(weigh)
@@ -67,7 +63,7 @@ impl<K: Key, V: Value> Cache<K, V> {
     ///
     /// # Errors
     /// The error of `make`.
-    pub async fn get<E, F>(&self, key: K, make: F) -> Result<V, E>
+    pub async fn get<E, F>(&self, key: (Version, K), make: F) -> Result<V, E>
     where
         E: Clone + Send + Sync + 'static,
         F: Future<Output = Result<V, E>>,
@@ -92,7 +88,7 @@ impl<K: Key, V: Value> Cache<K, V> {
 
     /// Removes the entries of a photo.
     pub async fn evict_photo(&self, photo: PhotoId) {
-        if let Err(error) = self.kept.invalidate_entries_if(move |key, _| key.photo() == photo) {
+        if let Err(error) = self.kept.invalidate_entries_if(move |((of, _), _), _| *of == photo) {
             // on error they age out: their keys are not used again
             tracing::error!(%error, "forgetting a photo");
         }
@@ -122,13 +118,9 @@ impl<K: Key, V: Value> Cache<K, V> {
 mod tests {
     use super::*;
 
-    impl Key for u32 {
-        fn photo(&self) -> PhotoId {
-            PhotoId::from_bytes([(*self % 2) as u8; 16])
-        }
-    }
+    impl Weight for u32 {}
 
-    impl Value for usize {
+    impl Weight for usize {
         fn weight(&self) -> usize {
             *self
         }
@@ -136,10 +128,15 @@ mod tests {
 
     const KIB: usize = 1024;
 
+    /// A key of one of two photos.
+    fn keyed(key: u32) -> (Version, u32) {
+        ((PhotoId::from_bytes([(key % 2) as u8; 16]), 0), key)
+    }
+
     async fn put(cache: &Cache<u32, usize>, key: u32, bytes: usize) -> bool {
         let mut made = false;
         let value = cache
-            .get(key, async {
+            .get(keyed(key), async {
                 made = true;
                 Ok::<_, ()>(bytes)
             })
@@ -175,7 +172,7 @@ mod tests {
         for key in 0..10 {
             put(&cache, key, 1).await;
         }
-        cache.evict_photo(1_u32.photo()).await;
+        cache.evict_photo(keyed(1).0.0).await;
         for key in 0..10 {
             assert_eq!(put(&cache, key, 1).await, key % 2 == 1, "{key}");
         }
@@ -184,7 +181,7 @@ mod tests {
     #[derive(Clone)]
     struct Large(#[allow(dead_code, reason = "counted by who else holds it")] Arc<()>);
 
-    impl Value for Large {
+    impl Weight for Large {
         fn weight(&self) -> usize {
             40 * KIB
         }
@@ -196,7 +193,7 @@ mod tests {
         let values: Vec<_> = (0..4).map(|_| Arc::new(())).collect();
         let held = |n: usize| Arc::strong_count(&values[n]) - 1;
         for (key, value) in values.iter().enumerate() {
-            let _ = cache.get(key as u32, async { Ok::<_, ()>(Large(Arc::clone(value))) }).await;
+            let _ = cache.get(keyed(key as u32), async { Ok::<_, ()>(Large(Arc::clone(value))) }).await;
         }
         // other threads of the tests hold up epochs briefly
         let freed = async |n: usize| {
@@ -211,7 +208,7 @@ mod tests {
         };
         assert!(freed(0).await && freed(1).await, "displaced");
         assert_eq!((held(2), held(3)), (1, 1));
-        cache.evict_photo(2_u32.photo()).await;
+        cache.evict_photo(keyed(2).0.0).await;
         assert!(freed(2).await, "forgotten");
         cache.clear().await;
         assert!(freed(3).await, "cleared");

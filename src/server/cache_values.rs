@@ -8,14 +8,11 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 
 use super::body_source::Source;
-use super::cache::{Key, Value};
+use super::cache::Weight;
 use super::problem::Problem;
 use tmpi_core::Scene;
 use tmpi_core::container::TileRect;
-use tmpi_library::{Blob, BlobStore, LibraryError, Part, PhotoId, hex};
-
-/// A version of a photo: id and time of making, so that an entry of a deleted photo never serves a new one with the same id.
-pub type Version = (PhotoId, u64);
+use tmpi_library::{Blob, BlobStore, LibraryError, Part, hex};
 
 /// Derived files with more bytes are stored on disk.
 const LARGE: usize = 1 << 20;
@@ -43,24 +40,18 @@ pub enum DiskFullPolicy {
 }
 
 impl StoredFile {
-    /// Bytes with their tag.
-    #[must_use]
-    pub fn of(source: Source, etag: Arc<str>) -> Self {
-        Self { source, etag }
-    }
-
     /// Bytes tagged by their digest.
     #[must_use]
     pub fn new(bytes: Vec<u8>) -> Self {
         let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
-        Self::of(Source::Memory(bytes.into()), etag)
+        Self { source: Source::Memory(bytes.into()), etag }
     }
 
     /// Bytes tagged by the hash of their inputs, a dash, and their digest.
     #[must_use]
     pub fn derived_in_memory(made: &str, bytes: Vec<u8>) -> Self {
         let Self { source, etag } = Self::new(bytes);
-        Self::of(source, format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into())
+        Self { source, etag: format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into() }
     }
 
     /// A file of the library, tagged by its digest: in memory, or a file or object that is read while it is sent.
@@ -70,14 +61,16 @@ impl StoredFile {
     pub async fn of_blob(blobs: &BlobStore, part: Part, blob: &Blob) -> Result<Self, LibraryError> {
         let etag = format!("\"{}\"", blob.digest.as_str().get(..32).unwrap_or_default()).into();
         if blob.bytes <= SMALL {
-            return Ok(Self::of(Source::Memory(blobs.read(part, blob).await?), etag));
+            return Ok(Self { source: Source::Memory(blobs.read(part, blob).await?), etag });
         }
-        let Some(path) = blobs.path(blob) else { return Ok(Self::of(Source::Object(blobs.clone(), Arc::new(blob.clone())), etag)) };
+        let Some(path) = blobs.path(blob) else {
+            return Ok(Self { source: Source::Object(blobs.clone(), Arc::new(blob.clone())), etag });
+        };
         let wanted = blob.clone();
         let opened = tokio::task::spawn_blocking(move || open(&path, &wanted)).await;
         let damaged = |detail: &str| LibraryError::Damaged { part, detail: detail.to_owned() };
         match opened.map_err(io::Error::other).flatten() {
-            Ok(Some(file)) => Ok(Self::of(Source::File(Arc::new(file), blob.bytes as usize), etag)),
+            Ok(Some(file)) => Ok(Self { source: Source::File(Arc::new(file), blob.bytes as usize), etag }),
             Ok(None) => Err(damaged("it is not what was written")),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Err(damaged("it is missing")),
             Err(error) => Err(damaged(&format!("it cannot be read: {error}"))),
@@ -102,7 +95,7 @@ impl StoredFile {
             },
             source => source,
         };
-        Ok(Self::of(source, etag))
+        Ok(Self { source, etag })
     }
 }
 
@@ -141,7 +134,7 @@ impl TempFolder {
     }
 }
 
-impl Value for StoredFile {
+impl Weight for StoredFile {
     fn weight(&self) -> usize {
         match &self.source {
             Source::Memory(bytes) => bytes.len(),
@@ -157,43 +150,27 @@ const MIN_EXPORT: usize = 4 << 20;
 #[derive(Clone, Debug)]
 pub struct Export(pub StoredFile);
 
-impl Value for Export {
+impl Weight for Export {
     fn weight(&self) -> usize {
         self.0.source.len().max(MIN_EXPORT)
     }
 }
 
-impl Value for Arc<Scene> {
+impl Weight for Arc<Scene> {
     fn weight(&self) -> usize {
         self.memory()
     }
 }
 
-impl Key for Version {
-    fn photo(&self) -> PhotoId {
-        self.0
-    }
-}
+impl Weight for () {}
 
-impl Key for (Version, Part) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
-}
+impl Weight for Part {}
 
-impl Key for (Version, String) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
+impl Weight for Derived {}
 
+impl Weight for String {
     fn weight(&self) -> usize {
-        self.1.len()
-    }
-}
-
-impl Key for (Version, Derived) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
+        self.len()
     }
 }
 

@@ -6,13 +6,11 @@
 
 mod child_main;
 mod exchange;
-mod photos;
-mod pipe_frames;
+mod messages;
 mod scratch;
-mod write_export;
 
 use std::ffi::{OsStr, OsString};
-use std::io;
+use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
@@ -24,7 +22,7 @@ use super::exports::ExportTask;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 use super::problem::Problem;
 pub use child_main::serve;
-use pipe_frames::read;
+use messages::{Answer, read};
 use scratch::Scratch;
 pub use scratch::remove_leftovers;
 use tmpi_pipeline::{MakeError, Options, Sink, networks};
@@ -52,8 +50,8 @@ pub struct ProcessMaker {
     renewed: OnceLock<InstalledNetwork>,
 }
 
-/// The frames of a process until it ends.
-type Frames = Receiver<io::Result<(u8, Vec<u8>)>>;
+/// The answers of a process with their files, until it ends.
+type Answers = Receiver<io::Result<(Answer, Vec<Vec<u8>>)>>;
 
 struct ChildProcess {
     /// When it made its last photo; `None` if it has made none.
@@ -64,7 +62,7 @@ struct ChildProcess {
     is_low_priority: bool,
     child: Child,
     input: ChildStdin,
-    output: Frames,
+    output: Answers,
     /// Its temporary files; removed last, after it has ended.
     scratch: Scratch,
 }
@@ -192,15 +190,16 @@ impl ProcessMaker {
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
-        let (Some(input), Some(mut output)) = (child.stdin.take(), child.stdout.take()) else {
+        let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else {
             return Err(io::Error::other("a process has no pipes"));
         };
         let (tell, told) = channel();
         std::thread::Builder::new().name("tmpi-child".into()).spawn(move || {
+            let mut output = BufReader::new(output);
             loop {
-                let frame = read(&mut output);
-                let last = frame.is_err();
-                if tell.send(frame).is_err() || last {
+                let answer = read(&mut output);
+                let last = answer.is_err();
+                if tell.send(answer).is_err() || last {
                     return;
                 }
             }

@@ -4,8 +4,6 @@ use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-
 tokio::task_local! {
     /// Address of the client, if it tells clients apart: loopback is also the address of all clients behind a proxy.
     pub static CLIENT: Option<IpAddr>;
@@ -17,66 +15,6 @@ pub fn client_address() -> Option<IpAddr> {
     CLIENT.try_with(|address| *address).ok().flatten()
 }
 
-/// Counts per address.
-#[derive(Clone, Debug)]
-pub struct ClientLimits {
-    most: usize,
-    had: Arc<Mutex<HashMap<IpAddr, usize>>>,
-}
-
-/// One place of an address, until it is dropped.
-#[derive(Debug)]
-pub struct ClientPermit(Option<(ClientLimits, IpAddr)>);
-
-impl ClientLimits {
-    /// At most so many per address.
-    #[must_use]
-    pub fn new(most: usize) -> Self {
-        Self { most, had: Arc::default() }
-    }
-
-    /// Half of the total.
-    #[must_use]
-    pub fn half_of(all: usize) -> Self {
-        Self::new(all.div_ceil(2))
-    }
-
-    fn lock(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
-        self.had.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Takes a place for `address`; `None` if it has too many. Unknown clients are not counted.
-    #[must_use]
-    pub fn take(&self, address: Option<IpAddr>) -> Option<ClientPermit> {
-        let Some(address) = address.map(client_network) else { return Some(ClientPermit(None)) };
-        let mut had = self.lock();
-        let count = had.get(&address).copied().unwrap_or_default();
-        (count < self.most).then(|| {
-            had.insert(address, count + 1);
-            ClientPermit(Some((self.clone(), address)))
-        })
-    }
-
-    /// Whether no place is taken.
-    #[cfg(test)]
-    pub fn is_empty(&self) -> bool {
-        self.lock().is_empty()
-    }
-}
-
-impl Drop for ClientPermit {
-    fn drop(&mut self) {
-        let Some((shares, of)) = self.0.take() else { return };
-        let mut had = shares.lock();
-        if let Some(count) = had.get_mut(&of) {
-            *count -= 1;
-            if *count == 0 {
-                had.remove(&of);
-            }
-        }
-    }
-}
-
 /// The address that stands for a customer: an IPv6 customer has a whole /64 network.
 #[must_use]
 pub fn client_network(address: IpAddr) -> IpAddr {
@@ -86,40 +24,83 @@ pub fn client_network(address: IpAddr) -> IpAddr {
     }
 }
 
-/// A number of places, of which one address can have half.
-#[derive(Debug)]
+/// A number of places, of which one address can have a share.
+#[derive(Clone, Debug)]
 pub struct ClientSlots {
     all: usize,
-    free: Arc<Semaphore>,
-    shares: ClientLimits,
+    share: usize,
+    taken: Arc<Mutex<Taken>>,
+}
+
+/// Places that are taken: in all, and by address. Those of unknown clients have no address.
+#[derive(Debug, Default)]
+struct Taken {
+    all: usize,
+    by_address: HashMap<IpAddr, usize>,
 }
 
 /// One place, until it is dropped.
 #[derive(Debug)]
 pub struct ClientSlot {
-    _permit: OwnedSemaphorePermit,
-    _share: ClientPermit,
+    slots: ClientSlots,
+    address: Option<IpAddr>,
 }
 
 impl ClientSlots {
-    /// So many places.
+    /// So many places, of which one address can have half.
     #[must_use]
     pub fn new(all: usize) -> Self {
-        Self { all, free: Arc::new(Semaphore::new(all)), shares: ClientLimits::half_of(all) }
+        Self { all, share: all.div_ceil(2), taken: Arc::default() }
     }
 
-    /// Takes a place for `address`; `None` if all are taken, or it has half of them.
+    /// At most so many places per address.
+    #[must_use]
+    pub fn per_address(share: usize) -> Self {
+        Self { all: usize::MAX, share, taken: Arc::default() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Taken> {
+        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes a place for `address`; `None` if all are taken, or it has its share.
     #[must_use]
     pub fn take(&self, address: Option<IpAddr>) -> Option<ClientSlot> {
-        let share = self.shares.take(address)?;
-        let permit = Arc::clone(&self.free).try_acquire_owned().ok()?;
-        Some(ClientSlot { _permit: permit, _share: share })
+        let address = address.map(client_network);
+        let mut taken = self.lock();
+        if taken.all >= self.all {
+            return None;
+        }
+        if let Some(address) = address {
+            let count = taken.by_address.get(&address).copied().unwrap_or_default();
+            if count >= self.share {
+                return None;
+            }
+            taken.by_address.insert(address, count + 1);
+        }
+        taken.all += 1;
+        drop(taken);
+        Some(ClientSlot { slots: self.clone(), address })
     }
 
     /// Number of places taken.
     #[must_use]
     pub fn taken(&self) -> usize {
-        self.all - self.free.available_permits()
+        self.lock().all
+    }
+}
+
+impl Drop for ClientSlot {
+    fn drop(&mut self) {
+        let mut taken = self.slots.lock();
+        taken.all -= 1;
+        let Some(address) = self.address else { return };
+        if let Some(count) = taken.by_address.get_mut(&address) {
+            *count -= 1;
+            if *count == 0 {
+                taken.by_address.remove(&address);
+            }
+        }
     }
 }
 
@@ -129,8 +110,8 @@ mod tests {
 
     #[test]
     fn an_address_has_its_share_and_returns_it() {
-        let shares = ClientLimits::new(2);
-        let take = |address: &str| shares.take(Some(address.parse().unwrap()));
+        let slots = ClientSlots::per_address(2);
+        let take = |address: &str| slots.take(Some(address.parse().unwrap()));
         let first = (take("192.0.2.1").unwrap(), take("192.0.2.1").unwrap());
         assert!(take("192.0.2.1").is_none() && take("192.0.2.2").is_some());
         assert!(take("::ffff:192.0.2.1").is_none(), "the same written otherwise");
@@ -138,9 +119,9 @@ mod tests {
         assert!(take("2001:db8::3").is_none() && take("2001:db8:0:1::1").is_some());
         drop((first, net));
         assert!(take("192.0.2.1").is_some());
-        assert!(shares.is_empty(), "nothing is kept of who has gone");
-        let unknown: Vec<_> = (0..9).map(|_| shares.take(None).unwrap()).collect();
-        assert!(shares.is_empty() && unknown.len() == 9);
+        assert!(slots.lock().by_address.is_empty(), "nothing is kept of who has gone");
+        let unknown: Vec<_> = (0..9).map(|_| slots.take(None).unwrap()).collect();
+        assert!(slots.lock().by_address.is_empty() && unknown.len() == 9);
     }
 
     #[test]

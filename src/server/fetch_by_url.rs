@@ -21,8 +21,8 @@ const ANSWER: Duration = Duration::from_secs(30);
 /// by HTTP. Behind it a port, if it is not the usual one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SourceHost {
-    scheme: &'static str,
-    /// Lower case.
+    scheme: String,
+    /// As URLs have it: in lower case and punycode.
     host: String,
     port: u16,
 }
@@ -32,34 +32,20 @@ impl FromStr for SourceHost {
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let wrong = "a host is expected, as a.example, *.b.example, c.example:8443 or http://d.example";
-        let (scheme, usual, rest) = match text.split_once("://") {
-            None => ("https", 443, text),
-            Some(("https", rest)) => ("https", 443, rest),
-            Some(("http", rest)) => ("http", 80, rest),
-            Some(_) => return Err(wrong),
-        };
-        let (host, port) = match rest.rsplit_once(':').filter(|(_, port)| !port.contains(']')) {
-            Some((host, port)) => (host, port.parse().map_err(|_| wrong)?),
-            None => (rest, usual),
-        };
-        // names as URLs write them, for example with punycode
-        let plain = host.strip_prefix("*.").unwrap_or(host);
-        let known = if host == "*" { Some("*".to_owned()) } else { named(plain) };
-        let known = known.filter(|_| plain == host || plain.parse::<std::net::IpAddr>().is_err()).ok_or(wrong)?;
-        Ok(Self { scheme, host: if plain == host { known } else { format!("*.{known}") }, port })
+        let has_scheme = text.starts_with("https://") || text.starts_with("http://");
+        let url = if has_scheme { text.parse::<Url>() } else { format!("https://{text}").parse() };
+        let url: Url = url.map_err(|_| wrong)?;
+        let has_user = !url.username().is_empty() || url.password().is_some();
+        // the path of a URL without one is `/`
+        let has_more = url.path() != "/" || url.query().is_some() || url.fragment().is_some() || text.ends_with(['/', '\\', ':']);
+        let (host, port) = url.host_str().zip(url.port_or_known_default()).ok_or(wrong)?;
+        let name = host.strip_prefix("*.").unwrap_or(host);
+        let is_pattern = host == "*" || !name.is_empty() && !name.contains('*');
+        if has_user || has_more || !is_pattern {
+            return Err(wrong);
+        }
+        Ok(Self { scheme: url.scheme().to_owned(), host: host.to_owned(), port })
     }
-}
-
-/// A host in the form of a URL's; `None` if it is none.
-fn named(host: &str) -> Option<String> {
-    let url: Url = format!("http://{host}/").parse().ok()?;
-    let is_alone = url.path() == "/"
-        && url.username().is_empty()
-        && url.port().is_none()
-        && url.query().is_none()
-        && url.fragment().is_none()
-        && !host.contains('/');
-    url.host_str().filter(|_| is_alone && !host.is_empty() && !host.contains('*')).map(str::to_owned)
 }
 
 impl SourceHost {
@@ -112,14 +98,6 @@ impl Validators {
     }
 }
 
-/// An answer of a source.
-pub enum Fetched {
-    /// The photo.
-    Photo(Body, Validators),
-    /// It is the one of the validators.
-    NotModified,
-}
-
 /// Fetches photos.
 pub struct Sources {
     hosts: Vec<SourceHost>,
@@ -161,11 +139,11 @@ impl Sources {
         })
     }
 
-    /// Asks for a photo; with `known`, only whether it has changed. Follows three redirects.
+    /// Asks for a photo; `None` if it is still that of the validators `known`. Follows three redirects.
     ///
     /// # Errors
     /// [`SourceError`].
-    pub async fn fetch(&self, url: Url, known: Option<&Validators>) -> Result<Fetched, SourceError> {
+    pub async fn fetch(&self, url: Url, known: Option<&Validators>) -> Result<Option<(Body, Validators)>, SourceError> {
         let mut url = url;
         for _ in 0..=REDIRECTS {
             self.check(&url)?;
@@ -174,9 +152,9 @@ impl Sources {
             match status {
                 StatusCode::OK => {
                     let (parts, body) = Response::from(answer).into_parts();
-                    return Ok(Fetched::Photo(Body::new(body), Validators::of(&parts.headers)));
+                    return Ok(Some((Body::new(body), Validators::of(&parts.headers))));
                 }
-                StatusCode::NOT_MODIFIED if known.is_some() => return Ok(Fetched::NotModified),
+                StatusCode::NOT_MODIFIED if known.is_some() => return Ok(None),
                 _ if status.is_redirection() => url = target(&url, answer.headers())?,
                 _ if status.is_client_error() => return Err(SourceError::Refused(status)),
                 _ => return Err(SourceError::Failed(format!("the source answers {status}"))),

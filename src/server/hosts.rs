@@ -42,7 +42,7 @@ impl Hosts {
         // the target wins over the header (RFC 9112, section 3.2.2), but both must be accepted
         for host in request.uri().authority().into_iter().chain([&named]) {
             if !self.allows(host.host()) {
-                let detail = format!("the server does not answer as {:?}; tmpi serve --host names others", clipped(host.host()));
+                let detail = format!("the server does not answer as \"{:.64}\"; tmpi serve --host names others", host.host());
                 return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, "host", detail).field("Host"));
             }
         }
@@ -114,15 +114,14 @@ fn address(host: &str) -> Option<IpAddr> {
     host.trim_start_matches('[').trim_end_matches(']').parse().ok()
 }
 
-/// The part of foreign text that an error repeats.
-fn clipped(text: &str) -> String {
-    text.chars().take(64).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use axum::body::Body;
+
+    fn headers(pairs: &[(&'static str, &'static str)]) -> HeaderMap {
+        pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect()
+    }
 
     fn status(hosts: &Hosts, target: &str, all: &[&str]) -> u16 {
         let mut request = Request::builder().uri(target);
@@ -156,9 +155,7 @@ mod tests {
 
     #[test]
     fn addresses_have_the_host_and_scheme_of_the_request() {
-        let of = |pairs: &[(&'static str, &'static str)]| {
-            origin(&pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect())
-        };
+        let of = |pairs: &[(&'static str, &'static str)]| origin(&headers(pairs));
         assert_eq!(of(&[("host", "localhost:8080")]).as_deref(), Some("http://localhost:8080"));
         assert_eq!(of(&[("host", "[::1]:80")]).as_deref(), Some("http://[::1]:80"));
         let behind = |name, value| of(&[("host", "photos.example"), (name, value)]).unwrap();
@@ -177,9 +174,6 @@ mod tests {
 
     #[test]
     fn only_loopback_callers_are_the_local_user() {
-        let headers = |pairs: &[(&'static str, &'static str)]| {
-            pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect::<HeaderMap>()
-        };
         let loopback = Hosts::new(([127, 0, 0, 1], 8080).into(), &["photos.example".into()]);
         assert!(loopback.is_own(&headers(&[("host", "localhost:8080")])) && loopback.is_own(&headers(&[("host", "[::1]")])));
         assert!(!loopback.is_own(&headers(&[("host", "photos.example")])));

@@ -98,11 +98,11 @@ pub struct Limits {
     #[schemars(range(max = 63_072_000))]
     pub hsts: Duration,
     /// Time between two checks of a photo's files against their digests.
-    #[serde(rename = "verify-interval", with = "In::<SECOND>")]
+    #[serde(with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub verify_interval: Duration,
     /// Most bytes that these checks read in a second.
-    #[serde(rename = "verify-rate", with = "In::<MIB>")]
+    #[serde(with = "In::<MIB>")]
     #[schemars(range(min = 1))]
     pub verify_rate: u64,
     /// Requests a minute for each key, and for each address without one. 0 turns a rate off.
@@ -260,8 +260,6 @@ impl Default for Caches {
 impl Limits {
     /// 32 MiB.
     pub const BODY: usize = 32 << 20;
-    /// 10 s.
-    pub const HEADER_READ: Duration = Duration::from_secs(10);
     /// 5 s if the server is bound beyond loopback; 0 on loopback, which has no load balancer.
     pub const LAME_DUCK: Duration = Duration::from_secs(5);
     /// 12 megapixels.
@@ -368,7 +366,7 @@ impl Default for Limits {
             live: live::RoomLimits::default(),
             // one job keeps all cores busy
             workers: 1,
-            header_read: Self::HEADER_READ,
+            header_read: Duration::from_secs(10),
             // 32 MiB in a little more than an hour
             body_rate: 8 << 10,
             write_rate: 1 << 10,

@@ -45,14 +45,12 @@ impl PreviewCard {
     #[must_use]
     pub fn of(app: &AppState, photo: &Photo, base: String) -> Self {
         let (settings, link) = (Settings::of(photo), access::link());
-        let view = if let Some(done) = FinishedPhoto::of(photo) {
+        let view = FinishedPhoto::of(photo).map(|done| {
             let pose = settings.poster_pose(&photo_options::view_box_of(&photo.options)).unwrap_or_default();
             let link = link.as_ref().map(|link| format!("&{link}")).unwrap_or_default();
             let address = format!("{base}/v1/photos/{}/view?{pose}format=jpeg&v={}{link}", photo.id, app.version(&done));
-            Some((address, (done.width, done.height)))
-        } else {
-            None
-        };
+            (address, (done.width, done.height))
+        });
         let title = settings.title.unwrap_or_else(|| UNTITLED.into());
         let link = link.map(|link| format!("?{link}")).unwrap_or_default();
         Self { base, id: photo.id.to_string(), title, link, view }

@@ -2,7 +2,7 @@
 //!
 //! First come, first served, but low-priority jobs wait behind all others.
 
-use std::collections::VecDeque;
+use std::collections::BTreeSet;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -19,29 +19,18 @@ pub struct MemoryBudget {
 #[derive(Default)]
 struct Allocated {
     taken: u64,
-    /// Waiting jobs in order of arrival: low priority, and the others.
-    waiting: [VecDeque<u64>; 2],
-    next: u64,
-}
-
-impl Allocated {
-    /// Whether it is this one's turn.
-    fn is_next(&self, turn: u64, priority: Priority) -> bool {
-        let [low, others] = &self.waiting;
-        match priority {
-            Priority::Normal => others.front() == Some(&turn),
-            Priority::Low => others.is_empty() && low.front() == Some(&turn),
-        }
-    }
+    /// Waiting jobs by priority and number of arrival; the first is next.
+    waiting: BTreeSet<(Priority, u64)>,
+    arrived: u64,
 }
 
 /// Whether a job has low priority.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Priority {
-    /// Low priority.
-    Low,
     /// Normal priority.
     Normal,
+    /// Low priority.
+    Low,
 }
 
 /// Memory of a job, until it is dropped.
@@ -71,12 +60,12 @@ impl MemoryBudget {
     /// Waits for `bytes` of memory; a job that needs more than all gets all. `None` once it is `unwanted`.
     pub fn wait_for(&self, bytes: u64, priority: Priority, unwanted: impl Fn() -> bool) -> Option<MemoryPermit<'_>> {
         let mut allocated = self.lock();
-        let turn = allocated.next;
-        allocated.next += 1;
-        allocated.waiting[priority as usize].push_back(turn);
+        let turn = (priority, allocated.arrived);
+        allocated.arrived += 1;
+        allocated.waiting.insert(turn);
         let there = loop {
             let fits = allocated.taken == 0 || allocated.taken.saturating_add(bytes) <= self.all;
-            if fits && allocated.is_next(turn, priority) {
+            if fits && allocated.waiting.first() == Some(&turn) {
                 break true;
             }
             if unwanted() {
@@ -84,7 +73,7 @@ impl MemoryBudget {
             }
             allocated = self.freed.wait_timeout(allocated, CHECK_INTERVAL).unwrap_or_else(PoisonError::into_inner).0;
         };
-        allocated.waiting[priority as usize].retain(|other| *other != turn);
+        allocated.waiting.remove(&turn);
         allocated.taken += if there { bytes } else { 0 };
         drop(allocated);
         // wake the next one
@@ -135,7 +124,7 @@ mod tests {
                     drop(share);
                 });
                 let end = Instant::now() + Duration::from_secs(20);
-                while memory.lock().waiting.iter().map(VecDeque::len).sum::<usize>() <= n {
+                while memory.lock().waiting.len() <= n {
                     assert!(Instant::now() < end, "it waits");
                     std::thread::yield_now();
                 }

@@ -118,8 +118,7 @@ fn put_secure(response: &mut Response, limits: &Limits) {
 /// Adds the request's id and its total time to the answer.
 fn put_own(response: &mut Response, id: &str, took: Duration) {
     insert(response, REQUEST_ID, id);
-    let hundredths = took.as_micros() / 10;
-    if let Ok(total) = HeaderValue::try_from(format!("total;dur={}.{:02}", hundredths / 100, hundredths % 100)) {
+    if let Ok(total) = HeaderValue::try_from(format!("total;dur={:.2}", took.as_secs_f64() * 1e3)) {
         response.headers_mut().append(SERVER_TIMING, total);
     }
 }

@@ -21,7 +21,8 @@ mod cross_site;
 mod depth_network_upgrade;
 mod exports;
 mod fetch_by_url;
-pub(crate) mod fuzzing;
+#[doc(hidden)]
+pub mod fuzzing;
 mod hosts;
 mod idle_trim;
 mod limits;
@@ -69,7 +70,6 @@ use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
 pub use accept_loop::ConnectionGuard;
-pub(crate) use access::constant_time_eq;
 pub use child::{ProcessMaker, VARIABLE, disable_process_inspection, serve as run_child};
 pub(crate) use conditional::{ContentCoding, Entity, respond};
 pub use config::{Config, Role};

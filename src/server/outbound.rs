@@ -4,7 +4,6 @@
 //! A name is resolved here, and its addresses are filtered, so that a name cannot have one address when it is checked and another one when
 //! it is connected to. No proxy of the environment is used, which would resolve names itself.
 
-use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::OnceLock;
 
@@ -130,16 +129,15 @@ impl Resolve for PublicAddresses {
     fn resolve(&self, name: Name) -> Resolving {
         Box::pin(async move {
             let all = tokio::net::lookup_host((name.as_str(), 0)).await?;
-            let public = public_of(all)?;
-            Ok(Box::new(public.into_iter()) as Addrs)
+            Ok(Box::new(public_of(all)?.into_iter()) as Addrs)
         })
     }
 }
 
 /// The public ones among the addresses of a name.
-fn public_of(all: impl Iterator<Item = SocketAddr>) -> io::Result<Vec<SocketAddr>> {
+fn public_of(all: impl Iterator<Item = SocketAddr>) -> Result<Vec<SocketAddr>, NotPublic> {
     let public: Vec<SocketAddr> = all.filter(|address| is_public(address.ip())).collect();
-    if public.is_empty() { Err(io::Error::other(NotPublic)) } else { Ok(public) }
+    if public.is_empty() { Err(NotPublic) } else { Ok(public) }
 }
 
 /// A name has no public address.
@@ -150,15 +148,7 @@ struct NotPublic;
 /// Whether a request failed because its name has no public address.
 #[must_use]
 pub fn is_not_public(error: &reqwest::Error) -> bool {
-    let mut next: Option<&(dyn std::error::Error + 'static)> = Some(error);
-    while let Some(error) = next {
-        let inner = error.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
-        if error.is::<NotPublic>() || inner.is_some_and(<dyn std::error::Error + Send + Sync>::is::<NotPublic>) {
-            return true;
-        }
-        next = error.source();
-    }
-    false
+    anyhow::Chain::new(error).any(<dyn std::error::Error>::is::<NotPublic>)
 }
 
 /// Sends requests to addresses within a reach. Its client is made when it is first used: a machine without certificates can run a server
@@ -216,12 +206,7 @@ pub fn builder(reach: AddressPolicy) -> ClientBuilder {
 /// The innermost cause of a request's error, without its URL, which may hold a secret.
 #[must_use]
 pub fn cause(error: reqwest::Error) -> String {
-    let error = error.without_url();
-    let mut last: &dyn std::error::Error = &error;
-    while let Some(source) = last.source() {
-        last = source;
-    }
-    last.to_string()
+    anyhow::Error::from(error.without_url()).root_cause().to_string()
 }
 
 #[cfg(test)]

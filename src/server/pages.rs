@@ -1,32 +1,26 @@
 //! The pages and scripts of the viewer: embedded in the program, or read from a directory during development.
 
 use std::path::{Component, Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{LazyLock, OnceLock};
 
 use axum::extract::{self, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::Response;
+use axum::routing::{MethodRouter, get};
 use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
 use super::app_state::App;
 use super::compress;
-use super::conditional::{ContentCoding, Entity, REVALIDATE, respond};
+use super::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
 use super::hosts::origin;
 use super::link_preview::PreviewCard;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
 use tmpi_library::hex;
 
-/// Only scripts and pictures of this server; the viewer's decoder needs blobs.
-const POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; media-src 'self' blob:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
-                      worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 /// Which sites may embed an answer (Fetch standard, section 3.7).
 pub const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
-
-/// The policy of pages that show photos of other servers.
-const OPEN_POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src * blob: data:; media-src 'self' blob:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
-                           worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 
 /// Which resources a page may embed (HTML standard, section 7.1.4). A cross-origin isolated page can frame only pages, and start only
 /// workers, that set this header.
@@ -34,16 +28,16 @@ const EMBEDDER_POLICY: HeaderName = HeaderName::from_static("cross-origin-embedd
 
 /// Which sites may frame a page or embed a file.
 #[derive(Clone, Copy)]
-enum Frames {
+pub enum Frames {
     /// This site: the page has buttons that change things, which another site could cover with its own (clickjacking).
     Own,
     /// Any site.
     Anybody,
 }
 
-/// `GET /`.
-pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/upload-page.html", Frames::Own).await
+/// Answers with the file `name`, whatever the address.
+pub fn fixed(name: &'static str, frames: Frames) -> MethodRouter<App> {
+    get(move |State(app): State<App>, headers: HeaderMap| async move { page(&app, &headers, name, frames).await })
 }
 
 /// `GET /view/{id}`, with the photo's preview card. If the photo is missing, or the browser has yet to send its credentials, the answer is
@@ -68,21 +62,6 @@ pub async fn embed(State(app): State<App>, extract::Path(id): extract::Path<Stri
         return missing_page(&app, name, Frames::Anybody).await;
     }
     page(&app, &headers, name, Frames::Anybody).await
-}
-
-/// `GET /demo`.
-pub async fn demo(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/demo-page.html", Frames::Own).await
-}
-
-/// `GET /live/{room}`: the page itself shows whether the room is live.
-pub async fn watch(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/watch-page.html", Frames::Own).await
-}
-
-/// `GET /live/{room}/publish`.
-pub async fn publish(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/publish-page.html", Frames::Own).await
 }
 
 /// Fallback for unknown addresses: a page for people, a problem for programs.
@@ -116,14 +95,13 @@ pub async fn file(State(app): State<App>, extract::Path(name): extract::Path<Str
     page(&app, &headers, &name, Frames::Anybody).await
 }
 
-/// `GET /tmpi-viewer.js`.
-pub async fn script(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "element/tmpi-viewer.js", Frames::Anybody).await
-}
-
 async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Result<Response, Problem> {
     Ok(send(load(app, name).await?, headers, name, frames))
 }
+
+/// For each of the embedded files, its tag, and its bytes in gzip, compressed on first use.
+static EMBEDDED: LazyLock<Vec<(String, OnceLock<Option<Bytes>>)>> =
+    LazyLock::new(|| FILES.iter().map(|(_, bytes)| (etag_of(bytes), OnceLock::new())).collect());
 
 /// A file to send.
 struct File {
@@ -140,8 +118,10 @@ async fn load(app: &App, name: &str) -> Result<File, Problem> {
         return Ok(File { bytes: bytes.into(), etag, coding: if is_text(name) { ContentCoding::Gzip } else { ContentCoding::Plain } });
     }
     let at = FILES.binary_search_by_key(&name, |f| f.0).map_err(|_| missing(name))?;
-    let coding = if is_text(name) { ContentCoding::Coded(coded(at)) } else { ContentCoding::Plain };
-    Ok(File { bytes: Bytes::from_static(FILES[at].1), etag: tags()[at].clone(), coding })
+    let (bytes, (etag, coded)) = (FILES[at].1, &EMBEDDED[at]);
+    let gzip = || compress::gzip(bytes, flate2::Compression::best());
+    let coding = if is_text(name) { ContentCoding::Coded(coded.get_or_init(gzip).clone()) } else { ContentCoding::Plain };
+    Ok(File { bytes: Bytes::from_static(bytes), etag: etag.clone(), coding })
 }
 
 fn send(File { bytes, etag, coding }: File, headers: &HeaderMap, name: &str, frames: Frames) -> Response {
@@ -151,11 +131,16 @@ fn send(File { bytes, etag, coding }: File, headers: &HeaderMap, name: &str, fra
         Frames::Own => ("'self'", "same-origin"),
         Frames::Anybody => ("*", "cross-origin"),
     };
-    // a worker has its own policy, and reads containers and rooms of other servers, too
-    let policy = if matches!(name, "app/demo-page.html" | "decode/worker.js" | "live/worker.js") { OPEN_POLICY } else { POLICY };
-    if let Ok(policy) = HeaderValue::from_str(&format!("{policy}; frame-ancestors {ancestors}")) {
-        response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
-    }
+    // these show photos of other servers; a worker has its own policy, and reads their containers and rooms, too
+    let is_open = matches!(name, "app/demo-page.html" | "decode/worker.js" | "live/worker.js");
+    let servers = if is_open { "*" } else { "'self'" };
+    // the viewer's decoder needs blobs
+    let policy = format!(
+        "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src {servers} blob: data:; media-src 'self' blob:; \
+         connect-src {servers} blob: data:; style-src 'self' 'unsafe-inline'; worker-src 'self' blob:; object-src 'none'; \
+         base-uri 'none'; form-action 'self'; frame-ancestors {ancestors}"
+    );
+    insert(&mut response, header::CONTENT_SECURITY_POLICY, &policy);
     response.headers_mut().insert(RESOURCE_POLICY, HeaderValue::from_static(takers));
     if matches!(name, "app/embed-page.html" | "decode/worker.js" | "live/worker.js") {
         response.headers_mut().insert(EMBEDDER_POLICY, HeaderValue::from_static("require-corp"));
@@ -181,18 +166,6 @@ fn etag_of(bytes: &[u8]) -> String {
 fn is_text(name: &str) -> bool {
     let kind = content_type(name);
     kind.starts_with("text/") || matches!(kind, "application/json" | "application/wasm" | "image/svg+xml")
-}
-
-/// An embedded file in gzip, compressed on first use.
-fn coded(at: usize) -> Option<Bytes> {
-    static CODED: OnceLock<Vec<OnceLock<Option<Bytes>>>> = OnceLock::new();
-    let all = CODED.get_or_init(|| FILES.iter().map(|_| OnceLock::new()).collect());
-    all[at].get_or_init(|| compress::gzip(FILES[at].1, flate2::Compression::best())).clone()
-}
-
-fn tags() -> &'static [String] {
-    static TAGS: OnceLock<Vec<String>> = OnceLock::new();
-    TAGS.get_or_init(|| FILES.iter().map(|(_, bytes)| etag_of(bytes)).collect())
 }
 
 #[cfg(test)]

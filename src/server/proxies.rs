@@ -14,24 +14,19 @@ pub const X_FORWARDED_FOR: HeaderName = HeaderName::from_static("x-forwarded-for
 const PRIVATE: [&str; 8] =
     ["127.0.0.0/8", "10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "169.254.0.0/16", "::1/128", "fc00::/7", "fe80::/10"];
 
-/// Where trusted proxies are.
+/// Where trusted proxies are: in one network, at one address, or on this machine and in all private networks (`private`).
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Network {
-    /// On this machine and in all private networks.
-    Private,
-    /// In one network, or at one address.
-    One(IpNet),
-}
+pub struct Network(Vec<IpNet>);
 
 impl FromStr for Network {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
         if text == "private" {
-            return Ok(Self::Private);
+            return Ok(Self(PRIVATE.iter().filter_map(|text| text.parse().ok()).collect()));
         }
-        let one = text.parse().ok().or_else(|| text.parse::<IpAddr>().ok().map(IpNet::from));
-        one.map(Self::One)
+        let one = text.parse::<IpNet>().ok().or_else(|| text.parse::<IpAddr>().ok().map(IpNet::from));
+        one.map(|one| Self(vec![one.trunc()]))
             .ok_or_else(|| "an address, a network as 10.0.0.0/8, or `private` for all private networks and this machine".into())
     }
 }
@@ -46,18 +41,13 @@ impl Proxies {
     /// Trusts proxies in `networks`.
     #[must_use]
     pub fn new(networks: &[Network]) -> Self {
-        let of = |network: &Network| match network {
-            Network::Private => PRIVATE.iter().filter_map(|text| text.parse().ok()).collect(),
-            Network::One(one) => vec![one.trunc()],
-        };
-        Self { networks: networks.iter().flat_map(of).collect() }
+        Self { networks: networks.iter().flat_map(|network| network.0.iter().copied()).collect() }
     }
 
     /// Whether a peer is a trusted proxy.
     #[must_use]
     pub fn trusts(&self, peer: IpAddr) -> bool {
-        // most servers trust none
-        !self.networks.is_empty() && self.networks.iter().any(|network| network.contains(&peer.to_canonical()))
+        self.networks.iter().any(|network| network.contains(&peer.to_canonical()))
     }
 
     /// The client of a request from `peer`: the last address on its way that is not a trusted proxy, or the first of all.
@@ -133,7 +123,6 @@ mod tests {
 
     #[test]
     fn networks_are_read_in_cidr_notation() {
-        assert_eq!("private".parse(), Ok(Network::Private));
         assert!(trusted(&["10.1.2.3/8"]).trusts("10.200.0.1".parse().unwrap()));
         assert!(trusted(&["fd00::/8"]).trusts("fd12::1".parse().unwrap()));
         for wrong in ["", "10.0.0.0/33", "example.org", "Private", "10.0.0"] {

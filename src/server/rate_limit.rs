@@ -1,7 +1,6 @@
 //! Rate limits: a token bucket for each key and each address (GCRA).
 
 use std::collections::HashMap;
-use std::fmt::Write as _;
 use std::net::IpAddr;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -165,14 +164,9 @@ impl RateHeaders {
         if self.0.is_empty() {
             return;
         }
-        let (mut policy, mut limit) = (String::new(), String::new());
-        for BucketState { name, most, left, reset, wait } in &self.0 {
-            let comma = if policy.is_empty() { "" } else { ", " };
-            let _ = write!(policy, "{comma}\"{name}\";q={most};w={}", WINDOW.as_secs());
-            let _ = write!(limit, "{comma}\"{name}\";r={left};t={}", wait.unwrap_or(*reset));
-        }
-        insert(response, POLICY, &policy);
-        insert(response, RATE_LIMIT, &limit);
+        let list = |item: fn(&BucketState) -> String| self.0.iter().map(item).collect::<Vec<_>>().join(", ");
+        insert(response, POLICY, &list(|of| format!("\"{}\";q={};w={}", of.name, of.most, WINDOW.as_secs())));
+        insert(response, RATE_LIMIT, &list(|of| format!("\"{}\";r={};t={}", of.name, of.left, of.wait.unwrap_or(of.reset))));
     }
 }
 

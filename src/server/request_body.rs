@@ -7,9 +7,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
+use anyhow::Chain;
 use axum::body::{Body, HttpBody};
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderValue, StatusCode};
 use bytes::Bytes;
+use futures_util::TryStreamExt as _;
 use http_body_util::{BodyExt, LengthLimitError, Limited};
 use hyper::body::{Frame, SizeHint};
 use serde_json::{Map, Value};
@@ -40,24 +42,8 @@ impl CutOff {
     /// The [`CutOff`] in the chain of causes of `error`.
     #[must_use]
     pub fn find(error: &(dyn Error + 'static)) -> Option<Self> {
-        let mut next = Some(error);
-        while let Some(error) = next {
-            if let Some(cut_off) = error.downcast_ref::<Self>() {
-                return Some(*cut_off);
-            }
-            next = error.source();
-        }
-        None
+        Chain::new(error).find_map(|cause| cause.downcast_ref::<Self>()).copied()
     }
-}
-
-/// The root cause of an error, which says most.
-fn root<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
-    let mut last = error;
-    while let Some(cause) = last.source() {
-        last = cause;
-    }
-    last
 }
 
 /// The answer to a body that cannot be read.
@@ -68,7 +54,11 @@ pub fn problem(error: &(dyn Error + 'static)) -> Problem {
         Some(slow @ (CutOff::TooSlow(_) | CutOff::BelowRate(_))) => {
             Problem::new(StatusCode::REQUEST_TIMEOUT, "body-too-slow", slow.to_string())
         }
-        None => Problem::bad_request(format!("the request's body cannot be read: {}", root(error))),
+        None => {
+            // the root cause says most
+            let root = Chain::new(error).next_back().unwrap_or(error);
+            Problem::bad_request(format!("the request's body cannot be read: {root}"))
+        }
     }
 }
 
@@ -106,10 +96,10 @@ pub fn json_parameters(body: &[u8]) -> Result<Vec<(String, String)>, Problem> {
     json_object(body)?.into_iter().filter_map(text_of).collect()
 }
 
-/// The media type of a body in lower case, without its parameters; empty if the request does not say.
+/// The media type in a `Content-Type` in lower case, without its parameters; empty if there is none.
 #[must_use]
-pub fn media_type(headers: &HeaderMap) -> String {
-    let text = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+pub fn media_type(content_type: Option<&HeaderValue>) -> String {
+    let text = content_type.and_then(|value| value.to_str().ok()).unwrap_or_default();
     text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
 }
 
@@ -132,17 +122,9 @@ impl UnreadBody {
     /// answer. `awaited`: the client waits for `100 Continue`.
     pub async fn drain(self, limit: usize, awaited: bool) {
         let body = self.inner.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let Some(mut body) = body.filter(|_| !awaited || self.polled.load(Ordering::Acquire)) else { return };
-        let read = async {
-            let mut left = limit;
-            while let Some(Ok(frame)) = body.frame().await {
-                left = left.saturating_sub(frame.data_ref().map_or(0, Bytes::len));
-                if left == 0 {
-                    return;
-                }
-            }
-        };
-        let _ = tokio::time::timeout(LINGER, read).await;
+        let Some(body) = body.filter(|_| !awaited || self.polled.load(Ordering::Acquire)) else { return };
+        let rest = Limited::new(body, limit).into_data_stream().try_for_each(|_| std::future::ready(Ok(())));
+        let _ = tokio::time::timeout(LINGER, rest).await;
     }
 }
 
@@ -243,21 +225,5 @@ impl Drop for LimitedBody {
             self.rest.ended.store(true, Ordering::Release);
         }
         *self.rest.inner.lock().unwrap_or_else(PoisonError::into_inner) = rest;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[tokio::test]
-    async fn the_rest_can_be_drained() {
-        let body = Body::from_stream(futures_util::stream::iter([40, 60, 50].map(|n| Ok::<_, std::io::Error>(Bytes::from(vec![0; n])))));
-        let clock = TimeLimit::new(Duration::from_secs(1));
-        let (guarded, rest) = LimitedBody::new(body, &Limits { body: 30, ..Limits::default() }, clock.clone());
-        assert!(clock.deadline().is_none());
-        assert!(Body::new(guarded).collect().await.is_err());
-        assert!(!rest.ended() && clock.deadline().is_some());
-        rest.drain(1000, false).await;
     }
 }

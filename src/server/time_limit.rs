@@ -1,16 +1,13 @@
 //! Time limit of a request. It starts when the body has arrived, so that slow links do not count, and long work may extend it.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::Notify;
+use tokio::sync::watch;
 use tokio::time::Instant;
 
 /// A request's time.
 #[derive(Clone, Debug)]
-pub struct TimeLimit {
-    state: Arc<(Mutex<State>, Notify)>,
-}
+pub struct TimeLimit(watch::Sender<State>);
 
 #[derive(Debug)]
 struct State {
@@ -22,39 +19,38 @@ impl TimeLimit {
     /// A clock of `limit` that is not started.
     #[must_use]
     pub fn new(limit: Duration) -> Self {
-        Self { state: Arc::new((Mutex::new(State { limit, started: None }), Notify::new())) }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.0.lock().unwrap_or_else(PoisonError::into_inner)
+        Self(watch::Sender::new(State { limit, started: None }))
     }
 
     /// Starts it, if it is not running.
     pub fn start(&self) {
-        self.lock().started.get_or_insert_with(Instant::now);
-        self.state.1.notify_waiters();
+        self.0.send_modify(|state| {
+            state.started.get_or_insert_with(Instant::now);
+        });
     }
 
     /// Extends the limit to `limit` in all, if that is more.
     pub fn allow(&self, limit: Duration) {
-        let mut state = self.lock();
-        state.limit = state.limit.max(limit);
+        self.0.send_modify(|state| state.limit = state.limit.max(limit));
     }
 
     /// When the time is over; `None` before it starts.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
-        let state = self.lock();
+        let state = self.0.borrow();
         state.started.map(|at| at + state.limit)
     }
 
     /// Waits until the time is over; returns the limit.
     pub async fn expired(&self) -> Duration {
+        let mut changes = self.0.subscribe();
         loop {
-            let started = self.state.1.notified();
             match self.deadline() {
-                None => started.await,
-                Some(deadline) if deadline <= Instant::now() => return self.lock().limit,
+                // no error: `self` can still change
+                None => {
+                    let _ = changes.changed().await;
+                }
+                Some(deadline) if deadline <= Instant::now() => return self.0.borrow().limit,
                 Some(deadline) => tokio::time::sleep_until(deadline).await,
             }
         }

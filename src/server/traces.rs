@@ -206,8 +206,8 @@ impl JobSpan {
         *self.stage.lock().unwrap_or_else(PoisonError::into_inner) = ("", Context::new());
     }
 
-    /// Ends the span.
-    pub fn end(self, outcome: &'static str) {
+    /// Records the outcome; the span ends when it is dropped.
+    pub fn end(&self, outcome: &'static str) {
         self.made();
         let span = self.span.span();
         span.set_attribute(KeyValue::new("tmpi.job.outcome", outcome));

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request};
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{StatusCode, header};
 use bytes::Bytes;
 use futures_util::StreamExt;
 
@@ -15,10 +15,9 @@ use super::multipart_header_limit::LimitedHeaders;
 use super::photo_options;
 use super::photo_settings::{Settings, title_of_file};
 use super::problem::Problem;
-use super::request_body;
+use super::request_body::{self, media_type};
 use super::upload_fields::{UploadFields, check_name, of_query};
 use super::upload_file::{ReceivedFile, receive};
-use super::upload_head::UploadHead;
 use tmpi_library::{LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
 use tmpi_pipeline::{Options, Stereo};
 
@@ -63,13 +62,12 @@ pub async fn upload(app: &App, query: &[(String, String)], request: Request, own
     let fields = of_query(query)?;
     let _slot = take_slot(app).await?;
     let mut parts = UploadParts { photo: None, depth: None, fields };
-    if is_multipart(request.headers()) {
+    // a body of another type is the photo itself
+    if media_type(request.headers().get(header::CONTENT_TYPE)) == "multipart/form-data" {
         read_multipart(app, &mut parts, request).await?;
     } else {
         let stream = request.into_body().into_data_stream();
-        let (mut head, options) = (UploadHead::new(&app.maker), &parts.fields.options);
-        let check = |bytes: &[u8]| head.see(bytes, HeadOf::Photo(options));
-        parts.photo = Some(receive(app, stream, |e| request_body::problem(&e), check).await?);
+        parts.photo = Some(receive(app, stream, HeadOf::Photo(&parts.fields.options), |e| request_body::problem(&e)).await?);
     }
     accept(app, parts, owner).await
 }
@@ -142,16 +140,6 @@ async fn check(
     checked.await?
 }
 
-fn is_multipart(headers: &HeaderMap) -> bool {
-    headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).is_some_and(is_form)
-}
-
-/// Whether a media type is that of a form; a body of another type is the photo itself.
-#[must_use]
-pub fn is_form(content_type: &str) -> bool {
-    content_type.split(';').next().is_some_and(|v| v.trim().eq_ignore_ascii_case("multipart/form-data"))
-}
-
 /// Reads a form. Ignores empty fields, because browsers send fields that the user left empty.
 async fn read_multipart(app: &App, parts: &mut UploadParts, request: Request) -> Result<(), Problem> {
     let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
@@ -186,14 +174,12 @@ async fn read_multipart(app: &App, parts: &mut UploadParts, request: Request) ->
             parts.fields.set("stereo", &photo_options::value_name(&Stereo::Beside))?;
         }
         let file = futures_util::stream::iter([Ok(first)]).chain(field);
-        let (mut head, options) = (UploadHead::new(&app.maker), &parts.fields.options);
         let of = match name.as_str() {
             "depth" => HeadOf::Depth,
             "second" => HeadOf::Second,
-            _ => HeadOf::PhotoSoFar(options),
+            _ => HeadOf::PhotoSoFar(&parts.fields.options),
         };
-        let check = |bytes: &[u8]| head.see(bytes, of);
-        *slot = Some(receive(app, file, |e| request_body::problem(&e), check).await?);
+        *slot = Some(receive(app, file, of, |e| request_body::problem(&e)).await?);
         if name == "photo" {
             parts.fields.file_name = file_name;
         }

@@ -4,21 +4,20 @@ use std::time::Duration;
 
 use axum::body::Body;
 use axum::extract::Request;
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use percent_encoding::percent_decode_str;
 use reqwest::Url;
 
 use super::app_state::App;
-use super::fetch_by_url::{Fetched, SourceError, Validators};
+use super::fetch_by_url::{SourceError, Validators};
 use super::maker::HeadOf;
 use super::photo_options;
 use super::problem::Problem;
-use super::request_body::{self, CutOff, LimitedBody};
+use super::request_body::{self, CutOff, LimitedBody, media_type};
 use super::time_limit::TimeLimit;
 use super::upload::{self, UploadParts};
 use super::upload_fields::{UploadFields, check_name, of_query};
 use super::upload_file::{ReceivedFile, receive};
-use super::upload_head::UploadHead;
 use tmpi_library::{Digest, LibraryError, Owner, Photo, PhotoState, Source};
 
 /// Most bytes of the object.
@@ -46,32 +45,8 @@ pub struct SourceOrder {
 /// Whether a request names the address of a photo instead of sending the photo.
 #[must_use]
 pub fn is_address(headers: &HeaderMap) -> bool {
-    let is_json = |value: &HeaderValue| {
-        let kind = value.to_str().ok().and_then(|text| text.split(';').next());
-        kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
-    };
     let mut kinds = headers.get_all(header::CONTENT_TYPE).iter().peekable();
-    kinds.peek().is_some() && kinds.all(is_json)
-}
-
-/// The addresses of an upload, and its options.
-struct Addresses {
-    source: Url,
-    depth: Option<Url>,
-    fields: UploadFields,
-}
-
-/// A fetched file, and the validators of its source.
-struct FetchedFile {
-    file: ReceivedFile,
-    validators: Validators,
-}
-
-/// The stored record of a source, by caller, address, options and program.
-struct SourceRecord {
-    digest: Digest,
-    /// The photo made from it, and the source's validators.
-    photo: Option<(Photo, Validators)>,
+    kinds.peek().is_some() && kinds.all(|kind| media_type(Some(kind)) == "application/json")
 }
 
 /// Fetches a photo for `owner`, if there are owners, and has it accepted; when this returns, it is on disk.
@@ -90,27 +65,28 @@ pub async fn fetch_upload(
         let detail = "this server does not fetch photos: tmpi serve --source-hosts lists the hosts that it may fetch from";
         return Err(Problem::new(StatusCode::FORBIDDEN, "no-sources", detail));
     }
-    let Addresses { source, depth, fields } = read(app, of_query(query)?, request).await?;
+    let mut fields = of_query(query)?;
+    let (source, depth) = read(app, &mut fields, request).await?;
     let _slot = upload::take_slot(app).await?;
     clock.allow(app.limits.request + PATIENCE);
     // a depth map that has changed needs the photo, too
-    let record = if depth.is_none() { find_record(app, &source, &fields, owner.as_ref()).await? } else { None };
-    let before = record.as_ref().and_then(|record| record.photo.as_ref());
+    let record = if depth.is_none() { Some(digest_of_source(app, &source, &fields, owner.as_ref())) } else { None };
+    let before = if let Some(record) = &record { find_made(app, record).await? } else { None };
     let fetched = async {
         let options = &fields.options;
-        let photo = fetch(app, SOURCE, source, before.map(|(_, validators)| validators), HeadOf::Photo(options)).await?;
+        let photo = fetch(app, SOURCE, source, before.as_ref().map(|(_, validators)| validators), HeadOf::Photo(options)).await?;
         let depth = match depth {
-            Some(depth) => fetch(app, DEPTH, depth, None, HeadOf::Depth).await?.map(|fetched| fetched.file),
+            Some(depth) => fetch(app, DEPTH, depth, None, HeadOf::Depth).await?.map(|(file, _)| file),
             None => None,
         };
         Ok((photo, depth))
     };
     let (photo, depth) = tokio::time::timeout(PATIENCE, fetched).await.unwrap_or_else(|_| Err(problem(SOURCE, &SourceError::Slow)))?;
     match (photo, before) {
-        (Some(FetchedFile { file, validators }), _) => {
+        (Some((file, validators)), _) => {
             let photo = upload::accept(app, UploadParts { photo: Some(file), depth, fields }, owner).await?;
             if let Some(record) = record {
-                remember(app, record.digest, &photo, validators).await;
+                remember(app, record, &photo, validators).await;
             }
             Ok(photo)
         }
@@ -122,8 +98,8 @@ pub async fn fetch_upload(
     }
 }
 
-/// Reads the object: addresses, and options as a form has them.
-async fn read(app: &App, mut fields: UploadFields, request: Request) -> Result<Addresses, Problem> {
+/// Reads the object: the addresses of the photo and its depth map, and into `fields` options as a form has them.
+async fn read(app: &App, fields: &mut UploadFields, request: Request) -> Result<(Url, Option<Url>), Problem> {
     let parameters = request_body::json_parameters(&request_body::read(request.into_body(), MOST).await?)?;
     let (mut source, mut depth) = (None, None);
     for (name, text) in parameters {
@@ -138,7 +114,7 @@ async fn read(app: &App, mut fields: UploadFields, request: Request) -> Result<A
     }
     let source = source.ok_or_else(|| Problem::parameter(SOURCE, "is missing"))?;
     fields.file_name = file_name(&source);
-    Ok(Addresses { source, depth, fields })
+    Ok((source, depth))
 }
 
 /// The name of the file at an address.
@@ -147,16 +123,18 @@ fn file_name(url: &Url) -> Option<String> {
     percent_decode_str(last).decode_utf8().ok().map(std::borrow::Cow::into_owned)
 }
 
-/// Finds the record of a source.
-async fn find_record(app: &App, source: &Url, fields: &UploadFields, owner: Option<&Owner>) -> Result<Option<SourceRecord>, Problem> {
+/// The name of a source's record: caller, address, options and program.
+fn digest_of_source(app: &App, source: &Url, fields: &UploadFields, owner: Option<&Owner>) -> Digest {
     let options = photo_options::canonical(&photo_options::to_text(&fields.options));
     let owner = owner.map_or("", Owner::as_str);
-    let digest = Digest::of(format!("{owner}\n{source}\n{}\n{options}", app.maker.identity()).as_bytes());
-    let Some(Source { photo, etag, last_modified }) = app.library.source(&digest).await? else {
-        return Ok(Some(SourceRecord { digest, photo: None }));
-    };
+    Digest::of(format!("{owner}\n{source}\n{}\n{options}", app.maker.identity()).as_bytes())
+}
+
+/// The photo made from a source, and the source's validators.
+async fn find_made(app: &App, record: &Digest) -> Result<Option<(Photo, Validators)>, Problem> {
+    let Some(Source { photo, etag, last_modified }) = app.library.source(record).await? else { return Ok(None) };
     let photo = app.library.find(photo).await?.filter(|photo| !matches!(photo.state, PhotoState::Failed | PhotoState::Damaged));
-    Ok(Some(SourceRecord { digest, photo: photo.map(|photo| (photo, Validators { etag, last_modified })) }))
+    Ok(photo.map(|photo| (photo, Validators { etag, last_modified })))
 }
 
 /// Remembers the validators of a source, if it sent any. The photo is accepted even if this fails.
@@ -172,17 +150,21 @@ async fn remember(app: &App, digest: Digest, photo: &Photo, validators: Validato
     }
 }
 
-/// Fetches a file into the folder of incoming uploads; `None` if it is the `known` one.
-async fn fetch(app: &App, field: &str, url: Url, known: Option<&Validators>, of: HeadOf<'_>) -> Result<Option<FetchedFile>, Problem> {
-    let (body, validators) = match app.sources.fetch(url, known).await.map_err(|e| problem(field, &e))? {
-        Fetched::Photo(body, validators) => (body, validators),
-        Fetched::NotModified => return Ok(None),
-    };
+/// Fetches a file into the folder of incoming uploads, with the validators of its source; `None` if it is the `known` one.
+async fn fetch(
+    app: &App,
+    field: &str,
+    url: Url,
+    known: Option<&Validators>,
+    of: HeadOf<'_>,
+) -> Result<Option<(ReceivedFile, Validators)>, Problem> {
+    let fetched = app.sources.fetch(url, known).await.map_err(|e| problem(field, &e))?;
+    let Some((body, validators)) = fetched else { return Ok(None) };
     let (guarded, _rest) = LimitedBody::new(body, &app.limits, TimeLimit::new(PATIENCE));
-    let mut head = UploadHead::new(&app.maker);
-    let check = |bytes: &[u8]| head.see(bytes, of).map_err(|problem| problem.field(field));
-    let file = receive(app, Body::new(guarded).into_data_stream(), |e| cut_off(field, &e), check).await?;
-    Ok(Some(FetchedFile { file, validators }))
+    let received = receive(app, Body::new(guarded).into_data_stream(), of, |e| cut_off(field, &e)).await;
+    // problems of the server itself have no field
+    let file = received.map_err(|problem| if problem.field.is_some() { problem.field(field) } else { problem })?;
+    Ok(Some((file, validators)))
 }
 
 /// The answer to a source that ends early.

@@ -74,20 +74,3 @@ pub fn of_query(query: &[(String, String)]) -> Result<UploadFields, Problem> {
     }
     Ok(fields)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_option_is_given_once_in_either_spelling() {
-        let mut fields = UploadFields::default();
-        fields.set("max-size", "90").unwrap();
-        fields.set("title", "A title").unwrap();
-        for name in ["max-size", "max_size"] {
-            let p = fields.set(name, "90").unwrap_err();
-            assert_eq!((p.status, p.field.as_deref()), (400, Some(name)));
-        }
-        assert_eq!(fields.set("title", "A title").unwrap_err().field.as_deref(), Some("title"));
-    }
-}

@@ -1,7 +1,7 @@
 //! Writes an uploaded file onto disk while it arrives.
 
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::io;
+use std::path::PathBuf;
 
 use bytes::Bytes;
 use futures_util::{Stream, StreamExt};
@@ -10,7 +10,9 @@ use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
 
 use super::app_state::App;
+use super::maker::HeadOf;
 use super::problem::Problem;
+use super::upload_head::UploadHead;
 use tmpi_library::{Content, Digest};
 
 /// Size of the write buffer.
@@ -38,14 +40,6 @@ impl ReceivedFile {
 /// The path of a file that is deleted when this is dropped.
 struct TempPath(PathBuf);
 
-impl TempPath {
-    /// A unique path.
-    fn within(folder: &Path) -> Self {
-        static NEXT: AtomicU64 = AtomicU64::new(0);
-        Self(folder.join(format!("upload-{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed))))
-    }
-}
-
 impl Drop for TempPath {
     fn drop(&mut self) {
         let path = std::mem::take(&mut self.0);
@@ -59,36 +53,31 @@ impl Drop for TempPath {
 }
 
 /// A new file that only its owner may read.
-async fn create(path: &Path) -> std::io::Result<File> {
-    let mut options = std::fs::OpenOptions::new();
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    options.create_new(true).write(true);
-    tokio::fs::OpenOptions::from(options).open(path).await
+async fn create(folder: PathBuf) -> io::Result<(File, TempPath)> {
+    let create = move || {
+        let (file, path) = tempfile::Builder::new().prefix("upload-").tempfile_in(folder)?.keep()?;
+        Ok::<_, io::Error>((File::from_std(file), TempPath(path)))
+    };
+    tokio::task::spawn_blocking(create).await?
 }
 
-/// Writes a stream to a file, piece by piece; `check` may refuse each piece first.
+/// Writes a stream to a file, piece by piece, and checks its first bytes as those `of` a part of an upload.
 ///
 /// # Errors
-/// Those of `problem` and `check`, 507, 500.
-pub async fn receive<S, E>(
-    app: &App,
-    mut stream: S,
-    problem: impl Fn(E) -> Problem,
-    mut check: impl FnMut(&[u8]) -> Result<(), Problem>,
-) -> Result<ReceivedFile, Problem>
+/// Those of `problem` and [`UploadHead::see`], 507, 500.
+pub async fn receive<S, E>(app: &App, mut stream: S, of: HeadOf<'_>, problem: impl Fn(E) -> Problem) -> Result<ReceivedFile, Problem>
 where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
 {
-    let disk = |e: std::io::Error| Problem::store(&e);
+    let disk = |e: io::Error| Problem::store(&e);
     app.library.blobs().check_space(0)?;
-    let path = TempPath::within(app.library.incoming());
-    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, create(&path.0).await.map_err(disk)?);
-    let mut hash = Sha256::new();
+    let (file, path) = create(app.library.incoming().to_owned()).await.map_err(disk)?;
+    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, file);
+    let (mut head, mut hash) = (UploadHead::new(&app.maker), Sha256::new());
     let mut bytes = 0;
     while let Some(chunk) = stream.next().await {
         let chunk = chunk.map_err(&problem)?;
-        check(&chunk)?;
+        head.see(&chunk, of)?;
         hash.update(&chunk);
         bytes += chunk.len() as u64;
         file.write_all(&chunk).await.map_err(disk)?;

@@ -1,6 +1,5 @@
 //! Workers: tasks that take jobs from the queue and run them on blocking threads.
 
-use std::any::Any;
 use std::convert::Infallible;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -15,7 +14,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
 use super::app_state::App;
-use super::exports::{Recipe, WriteRequest, write_export};
+use super::exports::{Recipe, write_export};
 use super::maker::{Fault, Product};
 use super::memory_budget::Priority;
 use super::photo_details::FinishedPhoto;
@@ -69,11 +68,18 @@ struct Doing {
     /// Set to abort jobs.
     abort: Arc<AtomicBool>,
     tell: UnboundedSender<Progress>,
+    /// The span of the job.
+    span: Arc<JobSpan>,
 }
 
 impl Doing {
     fn is_over(&self) -> bool {
         self.lost.load(Ordering::Acquire) || self.abort.load(Ordering::Acquire)
+    }
+
+    /// Whether work that can be repeated easily should end: also once the server stops.
+    fn is_unwanted(&self) -> bool {
+        self.is_over() || self.app.stop.is_cancelled()
     }
 }
 
@@ -98,17 +104,26 @@ async fn work(app: App, kinds: &'static [JobKind], abort: Arc<AtomicBool>) {
 async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
     let (start, photo, kind) = (Instant::now(), lease.job.photo, lease.job.kind);
     let (tell, told) = unbounded_channel();
-    let doing = Doing { app: Arc::clone(app), lost: Arc::default(), abort: Arc::clone(abort), tell };
+    let span = match kind {
+        JobKind::Make => app.telemetry.begin_job(lease.job.payload.as_str(), photo, lease.job.attempts as u32 + 1),
+        JobKind::Export | JobKind::Film => JobSpan::default(),
+    };
+    let doing = Doing { app: Arc::clone(app), lost: Arc::default(), abort: Arc::clone(abort), tell, span: Arc::new(span) };
     let job = async {
-        match kind {
+        let ended = match kind {
             JobKind::Make => make(lease, &doing, told).await,
             JobKind::Export | JobKind::Film => write(lease, &doing, told).await,
+        };
+        match ended {
+            Ok(outcome) => outcome,
+            Err(why) => end(lease, &doing, why).await,
         }
     };
     let outcome = tokio::select! {
         outcome = job => outcome,
         never = renew(lease, &doing) => match never {},
     };
+    doing.span.end(outcome);
     if matches!(outcome, "done" | "failed") {
         app.set_trouble(None);
     }
@@ -240,12 +255,11 @@ async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
 struct JobSink<'a> {
     doing: &'a Doing,
     deadline: Instant,
-    job: &'a JobSpan,
 }
 
 impl Sink for JobSink<'_> {
     fn progress(&self, message: &Progress) {
-        self.job.stage(message.stage);
+        self.doing.span.stage(message.stage);
         // fails only if the job has ended
         let _ = self.doing.tell.send(message.clone());
     }
@@ -278,119 +292,90 @@ async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
         }),
     };
     let mut options = photo_options::from_text(&photo.options).map_err(End::Failed)?;
-    options.strokes = match read(Part::Strokes).await {
-        Ok(strokes) => super::app_state::strokes_of(strokes.as_deref()),
-        // the photo can be made without strokes
-        Err(End::Failed(_)) => Vec::new(),
-        Err(again) => return Err(again),
-    };
+    options.strokes = doing.app.strokes(photo).await.map_err(|problem| End::Again(Retry::Fault(problem.detail.into())))?;
     let lost = || End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", "the upload is missing: upload the photo again"));
     Ok(Inputs { photo: read(Part::Upload).await?.ok_or_else(lost)?, depth: read(Part::Depth).await?, options })
 }
 
-async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> &'static str {
-    let job = doing.app.telemetry.begin_job(lease.job.payload.as_str(), lease.job.photo, lease.job.attempts as u32 + 1);
-    let Inputs { photo, depth, options } = match inputs(lease, doing).await {
-        Ok(inputs) => inputs,
-        Err(why) => return end(lease, doing, why).await,
-    };
+/// Makes a photo; returns the outcome.
+async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> Result<&'static str, End> {
+    let Inputs { photo, depth, options } = inputs(lease, doing).await?;
     let here = doing.clone();
     let made = hold(lease, doing, told, move || {
         let app = &here.app;
         let memory = app.maker.memory(&photo, depth.as_deref(), &options);
-        let unwanted = || here.is_over() || app.stop.is_cancelled();
-        let Some(_memory) = app.memory.wait_for(memory, Priority::Normal, unwanted) else { return (Err(Fault::Cancelled), job) };
-        let sink = JobSink { doing: &here, deadline: Instant::now() + app.limits.time_for(&photo), job: &job };
-        let made = catch_panic(|| app.maker.make(&photo, depth.as_deref(), &options, &sink));
-        job.made();
-        (made, job)
+        let Some(_memory) = app.memory.wait_for(memory, Priority::Normal, || here.is_unwanted()) else { return Err(Fault::Cancelled) };
+        let sink = JobSink { doing: &here, deadline: Instant::now() + app.limits.time_for(&photo) };
+        let made = catch_panic("making the photo panicked", || app.maker.make(&photo, depth.as_deref(), &options, &sink));
+        here.span.made();
+        made
     });
-    let (made, job) = match made.await {
-        Ok(made) => made,
-        Err(why) => return end(lease, doing, why).await,
-    };
-    let outcome = match made {
+    match made.await? {
         Ok(product) => keep(lease, doing, product).await,
-        Err(Fault::Photo(problem)) => end(lease, doing, End::Failed(problem)).await,
-        Err(Fault::Server(reason)) => end(lease, doing, End::Again(Retry::Fault(reason))).await,
-        Err(Fault::Cancelled) if doing.lost.load(Ordering::Acquire) => "deleted",
-        // the process may have ended with the server
-        Err(Fault::Crashed(_)) if doing.app.stop.is_cancelled() => end(lease, doing, End::Again(Retry::Stopping)).await,
-        Err(Fault::Crashed(reason)) => end(lease, doing, End::Again(Retry::Died(reason))).await,
-        Err(Fault::Cancelled) => end(lease, doing, End::Again(Retry::Stopping)).await,
-    };
-    job.end(outcome);
-    outcome
-}
-
-async fn keep(lease: &Lease, doing: &Doing, product: Product) -> &'static str {
-    let Product { container, report, disparity, thumbnail } = product;
-    let text = match serde_json::to_vec(&report) {
-        Ok(text) => text,
-        Err(error) => return end(lease, doing, End::Failed(Problem::internal("writing a report", &error))).await,
-    };
-    let parts = [(Part::Container, container), (Part::Disparity, disparity), (Part::Thumbnail, thumbnail), (Part::Report, text)];
-    let digested = move || parts.into_iter().map(|(part, bytes)| (part, Content::of_bytes(bytes))).collect();
-    let contents: Contents = match tokio::task::spawn_blocking(digested).await {
-        Ok(contents) => contents,
-        Err(error) => return end(lease, doing, End::Failed(Problem::internal("taking digests", &error))).await,
-    };
-    match doing.app.library.finish(lease, PhotoResults { contents, details: FinishedPhoto::details(report.width, report.height) }).await {
-        Ok(_) => "done",
-        Err(LibraryError::LeaseLost) => "deleted",
-        Err(error) => end(lease, doing, End::Again(Retry::Fault(format!("cannot store the results: {error}")))).await,
+        Err(Fault::Photo(problem)) => Err(End::Failed(problem)),
+        Err(Fault::Server(reason)) => Err(End::Again(Retry::Fault(reason))),
+        Err(Fault::Cancelled) if doing.lost.load(Ordering::Acquire) => Ok("deleted"),
+        // when the server stops, the process may have ended with it
+        Err(Fault::Crashed(reason)) if !doing.app.stop.is_cancelled() => Err(End::Again(Retry::Died(reason))),
+        Err(Fault::Cancelled | Fault::Crashed(_)) => Err(End::Again(Retry::Stopping)),
     }
 }
 
-async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> &'static str {
+/// Stores the results of a photo; returns the outcome.
+async fn keep(lease: &Lease, doing: &Doing, product: Product) -> Result<&'static str, End> {
+    let Product { container, report, disparity, thumbnail } = product;
+    let text = serde_json::to_vec(&report).map_err(|error| End::Failed(Problem::internal("writing a report", &error)))?;
+    let parts = [(Part::Container, container), (Part::Disparity, disparity), (Part::Thumbnail, thumbnail), (Part::Report, text)];
+    let digested = move || parts.into_iter().map(|(part, bytes)| (part, Content::of_bytes(bytes))).collect::<Contents>();
+    let contents = tokio::task::spawn_blocking(digested).await;
+    let contents = contents.map_err(|error| End::Failed(Problem::internal("taking digests", &error)))?;
+    match doing.app.library.finish(lease, PhotoResults { contents, details: FinishedPhoto::details(report.width, report.height) }).await {
+        Ok(_) => Ok("done"),
+        Err(LibraryError::LeaseLost) => Ok("deleted"),
+        Err(error) => Err(End::Again(Retry::Fault(format!("cannot store the results: {error}")))),
+    }
+}
+
+/// Writes an export file; returns the outcome.
+async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> Result<&'static str, End> {
     let app = &doing.app;
-    let gone = || Problem::not_found("the photo was made again, or was deleted");
-    let recipe = lease.job.payload.as_str().ok_or_else(gone).and_then(|text| Recipe::parse(text, &app.limits));
-    let (recipe, done) = match recipe.and_then(|recipe| FinishedPhoto::of(&lease.photo).map(|done| (recipe, done)).ok_or_else(gone)) {
-        Ok(wanted) => wanted,
-        Err(problem) => return end(lease, doing, End::Failed(problem)).await,
-    };
-    let container = match app.container_of(&lease.photo).await {
-        Ok(container) => container,
-        Err(problem) if problem.status == StatusCode::SERVICE_UNAVAILABLE => {
-            return end(lease, doing, End::Again(Retry::Fault(problem.detail.into()))).await;
+    let gone = || End::Failed(Problem::not_found("the photo was made again, or was deleted"));
+    let recipe = Recipe::parse(lease.job.payload.as_str().ok_or_else(gone)?, &app.limits).map_err(End::Failed)?;
+    let done = FinishedPhoto::of(&lease.photo).ok_or_else(gone)?;
+    let container = app.container_of(&lease.photo).await.map_err(|problem| {
+        if problem.status == StatusCode::SERVICE_UNAVAILABLE {
+            End::Again(Retry::Fault(problem.detail.into()))
+        } else {
+            End::Failed(problem)
         }
-        Err(problem) => return end(lease, doing, End::Failed(problem)).await,
-    };
+    })?;
     let here = doing.clone();
-    let bytes = hold(lease, doing, told, move || {
-        let unwanted = || here.is_over() || here.app.stop.is_cancelled();
-        write_export(&here.app, &recipe, (&container, &done), &WriteRequest { unwanted: &unwanted, is_low_priority: true })
-    });
+    let bytes =
+        hold(lease, doing, told, move || write_export(&here.app, &recipe, (&container, &done), Priority::Low, &|| here.is_unwanted()));
     let stops = || doing.abort.load(Ordering::Acquire) || app.stop.is_cancelled();
-    let file = match bytes.await {
-        Ok(Ok(bytes)) => Content::of_bytes(bytes),
-        Ok(Err(_)) if doing.lost.load(Ordering::Acquire) => return "cancelled",
-        Ok(Err(_)) if stops() => return end(lease, doing, End::Again(Retry::Stopping)).await,
-        Ok(Err(problem)) => return end(lease, doing, End::Failed(problem)).await,
-        Err(why) => return end(lease, doing, why).await,
+    let file = match bytes.await? {
+        Ok(bytes) => Content::of_bytes(bytes),
+        Err(_) if doing.lost.load(Ordering::Acquire) => return Ok("cancelled"),
+        Err(_) if stops() => return Err(End::Again(Retry::Stopping)),
+        Err(problem) => return Err(End::Failed(problem)),
     };
     match app.library.finish_export(lease, file).await {
-        Ok(_) => "done",
-        Err(LibraryError::LeaseLost) => "cancelled",
+        Ok(_) => Ok("done"),
+        Err(LibraryError::LeaseLost) => Ok("cancelled"),
         Err(LibraryError::Invalid(detail)) => {
             let detail = format!("{detail} (exports.disk)");
-            end(lease, doing, End::Failed(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "export-too-large", detail))).await
+            Err(End::Failed(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "export-too-large", detail)))
         }
-        Err(error @ LibraryError::StorageFull) => end(lease, doing, End::Failed(error.into())).await,
-        Err(error) => end(lease, doing, End::Again(Retry::Fault(error.to_string()))).await,
+        Err(error @ LibraryError::StorageFull) => Err(End::Failed(error.into())),
+        Err(error) => Err(End::Again(Retry::Fault(error.to_string()))),
     }
 }
 
-/// Turns a panic into a failure of the photo. The maker borrows none of the server's state mutably, so a panic cannot leave it
-/// inconsistent.
-pub(super) fn catch_panic(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
-    catch_unwind(AssertUnwindSafe(make))
-        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &panic_message(panic.as_ref())))))
-}
-
-/// The message of a panic.
-pub(super) fn panic_message(panic: &(dyn Any + Send)) -> String {
-    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
-    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
+/// Turns a panic into a failure of the photo; `what` says what panicked. The maker borrows none of the server's state mutably, so a panic
+/// cannot leave it inconsistent.
+pub(super) fn catch_panic<T>(what: &str, work: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+        Err(Fault::Photo(Problem::internal(what, &text.unwrap_or_default())))
+    })
 }

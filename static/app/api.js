@@ -5,7 +5,7 @@ import { formatBytes } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
 
 /** @import { Settings } from '../view/settings.js' */
-/** @import { Stroke } from './outline.js' */
+/** @import { Stroke } from './stroke-region.js' */
 
 /**
  * State of a photo as the server returns it.

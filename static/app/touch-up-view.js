@@ -1,6 +1,6 @@
 // The two pictures of the touch-up: the photo with the outline of the strokes, and the resulting depth.
 
-/** @import { Region } from './outline.js' */
+/** @import { Region } from './stroke-region.js' */
 
 /** Colours of the covered area and of its outline: red, green, blue, opacity. */
 const COVER = [255, 190, 40, 70];

@@ -4,12 +4,12 @@ import { t } from '../i18n/messages.js';
 import { changeStrokes, getPhoto, photoUrl, strokesOf } from './api.js';
 import { $, element } from './dom.js';
 import { untilMade } from './follow-photo.js';
-import { Outlines, SIDE, touchedUp } from './outline.js';
+import { Outlines, SIDE, touchedUp } from './stroke-region.js';
 import { touchUpDialog } from './touch-up-dialog.js';
 import { TouchUpView } from './touch-up-view.js';
 
 /** @import { Photo } from './api.js' */
-/** @import { Region, Stroke } from './outline.js' */
+/** @import { Region, Stroke } from './stroke-region.js' */
 
 /** Points of a stroke closer together than this share of the radius are dropped. */
 const SPACING = 1 / 8;

@@ -46,7 +46,7 @@ export const MODULES = [
 /** Additional modules for rooms. */
 export const ROOM_MODULES = [
   'element/room.js',
-  'element/sheet.js',
+  'element/style-sheet.js',
   'i18n/element.js',
   'i18n/messages.js',
   'live/room-address.js',

@@ -5,7 +5,7 @@ import { pictureDelay, statusText } from '../live/room-status.js';
 import { SoundPlayer } from '../live/sound-player.js';
 import { startRoom } from '../live/start.js';
 import { Viewer } from '../view/viewer.js';
-import { Sheet } from './sheet.js';
+import { Sheet } from './style-sheet.js';
 
 const STYLE = `
   .note {

@@ -50,8 +50,8 @@
 // contexts, which browsers limit. If nothing can be drawn, the poster or the photo stays, and `error` says why.
 
 // static/ is beside this file, both on the server and in the package
-import { Face, NAMES, OFF } from './static/element/face.js';
 import { load, MODULES, preload, ROOM_MODULES } from './static/element/modules.js';
+import { NAMES, OFF, ShadowTree } from './static/element/shadow-tree.js';
 import { word } from './static/i18n/element.js';
 
 /** @import { Viewer } from '../view/viewer.js' */
@@ -108,12 +108,12 @@ class TmpiViewer extends HTMLElement {
   /** It has come near the screen or had input: from then on it shows its content. */
   #asked = false;
   #loaded = false;
-  #face = new Face(this);
+  #tree = new ShadowTree(this);
   #reduced = matchMedia(REDUCED);
 
   constructor() {
     super();
-    for (const type of ['pointerenter', 'pointerdown', 'focus']) this.#face.stage.addEventListener(type, () => this.#start());
+    for (const type of ['pointerenter', 'pointerdown', 'focus']) this.#tree.stage.addEventListener(type, () => this.#start());
   }
 
   /** The viewer; null before it has started. */
@@ -159,7 +159,7 @@ class TmpiViewer extends HTMLElement {
   connectedCallback() {
     this.#takeOver();
     this.#describe();
-    this.#face.connected();
+    this.#tree.connected();
     this.#seen = new IntersectionObserver((entries) => this.#onSeen(entries[entries.length - 1].isIntersecting), { rootMargin: '200px' });
     this.#seen.observe(this);
     this.#reduced.addEventListener('change', this.#onReduced);
@@ -240,7 +240,7 @@ class TmpiViewer extends HTMLElement {
   }
 
   #describe() {
-    this.#face.describe(this.#named?.room ? word('3D video') : word('3D photo'));
+    this.#tree.describe(this.#named?.room ? word('3D video') : word('3D photo'));
   }
 
   async #start() {
@@ -252,11 +252,11 @@ class TmpiViewer extends HTMLElement {
     if (!viewer) return;
     if (!this.#movesByItself) viewer.setIdle(false);
     if (this.#visible === false) viewer.asleep = true;
-    const known = () => viewer.head && this.#face.know(viewer.head);
+    const known = () => viewer.head && this.#tree.know(viewer.head);
     let mode = '';
     viewer.addEventListener('photo', () => {
       known();
-      this.#face.shown();
+      this.#tree.shown();
     });
     viewer.addEventListener('progress', ({ detail }) =>
       this.#fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }),
@@ -267,14 +267,14 @@ class TmpiViewer extends HTMLElement {
       mode = detail.mode;
       this.#loaded = true;
       known();
-      this.#face.shown();
+      this.#tree.shown();
       this.#fire('load', detail);
     });
     viewer.addEventListener('pose', () => this.#loaded && this.#fire('camera-change', { pose: viewer.pose }));
     viewer.addEventListener('mode', ({ detail: { mode, reason } }) => mode === 'still' && this.#fire('error', { message: reason }));
     viewer.addEventListener('error', ({ detail }) => {
       // failures while the photo is shown need no message over it
-      if (viewer.mode === 'failed') this.#face.fail(detail.message);
+      if (viewer.mode === 'failed') this.#tree.fail(detail.message);
       this.#fire('error', detail);
     });
   }
@@ -284,7 +284,7 @@ class TmpiViewer extends HTMLElement {
    * @param {string} message
    */
   #cannot(message) {
-    this.#face.fail(message);
+    this.#tree.fail(message);
     this.#fire('error', { message });
     return null;
   }
@@ -321,7 +321,7 @@ class TmpiViewer extends HTMLElement {
     if (!this.#wants(atlas)) return null;
     const given = this.getAttribute('view');
     const state = OFF.has(this.getAttribute('settings') ?? '') ? undefined : beside(atlas, '/settings');
-    this.#viewer = new Viewer(this.#face.stage, {
+    this.#viewer = new Viewer(this.#tree.stage, {
       atlas,
       view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),
       report: beside(atlas, '/report'),
@@ -342,9 +342,9 @@ class TmpiViewer extends HTMLElement {
     const attribute = (/** @type {string} */ name) => this.getAttribute(name);
     const sound = OFF.has(attribute('sound') ?? '') ? 'off' : attribute('sound');
     const named = { address, token: attribute('token'), sound, settings: this.#wander };
-    const room = new Room(this.#face.stage, this.#face.shadow, named, {
+    const room = new Room(this.#tree.stage, this.#tree.shadow, named, {
       fire: (type, detail) => this.#fire(type, detail),
-      fail: (message) => this.#face.fail(message),
+      fail: (message) => this.#tree.fail(message),
       embedded: this.#embedded,
     });
     [this.#room, this.#viewer] = [room, room.viewer];
@@ -357,7 +357,7 @@ class TmpiViewer extends HTMLElement {
     else this.#viewer?.dispose();
     this.#room = this.#viewer = null;
     this.#loaded = false;
-    this.#face.reset();
+    this.#tree.reset();
   }
 }
 

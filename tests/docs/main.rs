@@ -38,19 +38,9 @@ struct Block {
     needs_server: bool,
 }
 
-fn markdown_files(folder: &Path, found: &mut Vec<PathBuf>) {
-    for entry in fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()) {
-        if entry.is_dir() {
-            markdown_files(&entry, found);
-        } else if entry.extension().is_some_and(|e| e == "md") {
-            found.push(entry);
-        }
-    }
-}
-
 fn pages() -> Vec<Page> {
-    let mut paths: Vec<PathBuf> = OTHERS.iter().map(|o| root().join(o)).collect();
-    markdown_files(&root().join("docs"), &mut paths);
+    let of_book = tmpi_testing::files_below(&root().join("docs")).into_iter().filter(|path| path.extension().is_some_and(|e| e == "md"));
+    let paths: Vec<PathBuf> = OTHERS.iter().map(|o| root().join(o)).chain(of_book).collect();
     let page = |path: PathBuf| Page {
         name: path.strip_prefix(root()).unwrap().to_string_lossy().into_owned(),
         text: fs::read_to_string(&path).unwrap(),

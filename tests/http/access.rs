@@ -100,7 +100,7 @@ fn an_upload_without_a_secret_is_answered_with_the_photos_token() {
     let told = of(&format!("/v1/photos/{}", id(&state)), token);
     assert_eq!((told.status, of(&address, secret).status, ask(&server, "GET", &address, &[], &[]).status), (200, 200, 404));
     assert!(told.json()["links"]["manage"].is_null(), "told once");
-    for wrong in [&secret[..secret.len() - 1], token, &token[..token.len() - 1], "tmpi_o_short", "tmpi_o_", "tmpi_k_0", "1000.ab", ""] {
+    for wrong in [&secret[..secret.len() - 1], token, &token[..token.len() - 1], "tmpi_o_short", "tmpi_o_", "tmpi_k_0", "1000-ab", ""] {
         assert!(matches!(of(&address, wrong).status, 401 | 404), "{wrong}");
     }
     // a browser keeps the secret as a cookie; pages of other sites cannot use it
@@ -206,7 +206,7 @@ fn links_are_valid_for_one_photo_until_they_expire() {
 #[test]
 fn keys_list_the_photos_of_their_name_and_are_replaced_while_the_server_runs() {
     let server = private();
-    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(server.data(), name, scopes, None).unwrap());
+    let key = |name: &str, scopes: &[Scope]| key_fixture::add(server.data(), name, scopes);
     let (up, read, admin) = (key("site", &[Scope::Upload]), key("site", &[Scope::Read]), key("boss", &[Scope::Admin]));
     let photo = id(&upload(&server, Some(&up), 1));
     let by = |who: &str, path: &str| ask(&server, "GET", path, &[("authorization", who)], &[]);
@@ -214,8 +214,8 @@ fn keys_list_the_photos_of_their_name_and_are_replaced_while_the_server_runs() {
     // replace the key: the photos stay
     let (new, at) = (key("site", &[Scope::Upload, Scope::Read]), format!("/v1/photos/{photo}"));
     assert_eq!((by(&new, &at).status, by(&read, &at).status), (200, 200));
-    for old in key_fixture::read(server.data()).unwrap().iter().filter(|k| k.name == "site" && k.scopes.len() == 1) {
-        assert_eq!(key_fixture::remove(server.data(), "site", Some(&old.id)).unwrap(), 1);
+    for old in key_fixture::read(server.data()).iter().filter(|k| k.name == "site" && k.scopes.len() == 1) {
+        assert_eq!(key_fixture::remove(server.data(), "site", Some(&old.id)), 1);
     }
     assert_eq!((by(&new, &at).status, by(&read, &at).status), (200, 401));
 }
@@ -242,7 +242,7 @@ fn no_secret_is_logged() {
     let server = private();
     let ann = secret("z");
     let photo = id(&upload(&server, Some(&ann), 1));
-    let key = format!("Bearer {}", key_fixture::add(server.data(), "site", &[Scope::Read], None).unwrap());
+    let key = key_fixture::add(server.data(), "site", &[Scope::Read]);
     let manage = upload(&server, None, 2)["links"]["manage"].as_str().unwrap().to_owned();
     let link = ask(&server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", &ann)], &[]).json();
     let query = link["query"].as_str().unwrap().to_owned();

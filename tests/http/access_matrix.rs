@@ -41,7 +41,6 @@ impl May {
     }
 }
 
-#[allow(clippy::struct_excessive_bools, reason = "each is a column of the table")]
 struct Caller {
     what: &'static str,
     headers: Vec<(&'static str, String)>,
@@ -50,14 +49,6 @@ struct Caller {
     photo: String,
     /// Parameters of a link.
     link: Option<String>,
-    /// Their only credential is a photo's token.
-    manager: bool,
-    /// This machine's own user, who may enter rooms.
-    here: bool,
-    /// A page of another site.
-    foreign: bool,
-    /// Under a name that is not the server's.
-    rebound: bool,
 }
 
 impl Caller {
@@ -65,20 +56,35 @@ impl Caller {
         Self { link: Some(link.to_owned()), ..self }
     }
 
+    /// True if a header of this name has this in its value.
+    fn sends(&self, name: &str, text: &str) -> bool {
+        self.headers.iter().any(|(n, value)| *n == name && value.contains(text))
+    }
+
+    /// True for this machine's own user, who may enter rooms.
+    fn here(&self) -> bool {
+        self.headers.is_empty() && self.may == May::Everything
+    }
+
+    /// True for a page of another site.
+    fn foreign(&self) -> bool {
+        self.sends("sec-fetch-site", "cross-site")
+    }
+
+    /// True if the only credential is a photo's token.
+    fn manager(&self) -> bool {
+        self.sends("authorization", "tmpi_m_")
+    }
+
     /// True if a header has an owner's secret.
     fn secret(&self) -> bool {
-        self.headers.iter().any(|(_, value)| value.contains("tmpi_o_"))
+        self.sends("authorization", "tmpi_o_") || self.sends("cookie", "tmpi_o_")
     }
 
     /// True if it is known as an owner.
     fn is_owner(&self) -> bool {
-        let is_known =
-            |(name, value): &(&str, String)| value.contains("tmpi_k_") || value.contains("tmpi_o_") && (*name != "cookie" || !self.foreign);
-        self.here || self.headers.iter().any(is_known)
-    }
-
-    fn manager(self) -> Self {
-        Self { manager: true, ..self }
+        let by_bearer = ["tmpi_k_", "tmpi_o_"].iter().any(|prefix| self.sends("authorization", prefix));
+        self.here() || by_bearer || self.sends("cookie", "tmpi_o_") && !self.foreign()
     }
 
     fn asks_for(self, photo: &str) -> Self {
@@ -91,7 +97,7 @@ impl Caller {
             path = format!("{path}{}{link}", if path.contains('?') { '&' } else { '?' });
         }
         let mut headers: Vec<(&str, &str)> = self.headers.iter().map(|(n, v)| (*n, v.as_str())).collect();
-        if !self.here && !headers.iter().any(|(name, _)| *name == "host") {
+        if !self.here() && !headers.iter().any(|(name, _)| *name == "host") {
             headers.push(HOST);
         }
         send(server, route, method, &path, headers)
@@ -102,7 +108,8 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
     let (path, may) = (route.path.as_str(), caller.may);
     let safe = matches!(method, "GET" | "HEAD" | "OPTIONS");
     let if_may = |may: bool, status| if may { (status, None) } else { (404, Some("not-found")) };
-    if caller.rebound {
+    let (here, foreign, manager) = (caller.here(), caller.foreign(), caller.manager());
+    if caller.sends("host", "evil.example") {
         return (421, Some("host"));
     }
     match (method, path) {
@@ -112,17 +119,17 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         (_, "/metrics") if may == May::Metrics => (200, None),
         (_, "/metrics" | "/v1/network") if may != May::Everything => (403, Some("not-yours")),
         // a photo's token is valid for that photo only
-        (_, "/v1/photos") if caller.manager => (403, Some("scope")),
-        _ if path.starts_with("/v1/webhooks") && (caller.manager || matches!(may, May::Read | May::Metrics)) => (403, Some("scope")),
+        (_, "/v1/photos") if manager => (403, Some("scope")),
+        _ if path.starts_with("/v1/webhooks") && (manager || matches!(may, May::Read | May::Metrics)) => (403, Some("scope")),
         ("POST", "/v1/photos") if matches!(may, May::Read | May::Metrics) => (403, Some("scope")),
         ("GET" | "HEAD", "/v1/photos") if matches!(may, May::Upload | May::Metrics) => (403, Some("scope")),
-        _ if caller.foreign && !safe => (403, Some("cross-site")),
+        _ if foreign && !safe => (403, Some("cross-site")),
         _ if path.starts_with("/v1/webhooks") && !caller.is_owner() => (403, Some("no-owner")),
         ("POST", "/v1/webhooks") => (400, Some("parameter")),
         (_, "/v1/webhooks") => (200, None),
         _ if path.starts_with("/v1/webhooks/") => (404, Some("not-found")),
-        (_, "/v1/live/{room}/publish") if caller.foreign => (403, Some("cross-site")),
-        _ if path.starts_with("/v1/live/") && (caller.foreign || !caller.here) => (403, Some("token")),
+        (_, "/v1/live/{room}/publish") if foreign => (403, Some("cross-site")),
+        _ if path.starts_with("/v1/live/") && (foreign || !here) => (403, Some("token")),
         (_, "/v1/live/{room}" | "/v1/live/{room}/token") => (200, None),
         (_, "/v1/live/{room}/publish" | "/v1/live/{room}/subscribe") => (426, Some("upgrade")),
         _ if path.starts_with("/v1/live/") => (404, Some("not-found")),
@@ -169,7 +176,7 @@ fn refuses_well(server: &Running, route: &Route, method: &str, caller: &Caller) 
 fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
     let server = private();
     let ann = secret("a");
-    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(server.data(), name, scopes, None).unwrap());
+    let key = |name: &str, scopes: &[Scope]| key_fixture::add(server.data(), name, scopes);
     let site = key("site", &[Scope::Upload, Scope::Read]);
     let (of_ann, of_site) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&site), 1)));
     let (taken_link, taken_back) = link(&server, &ann, &of_ann, 600);
@@ -181,22 +188,9 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
     let cookie = ("cookie", format!("tmpi_owner={}", &ann["Bearer ".len()..]));
     let kept = ("cookie", format!("tmpi_manage={token}"));
     let evil = [("origin", "https://evil.example".to_owned()), ("sec-fetch-site", "cross-site".to_owned())];
-    let caller = |what, headers: Vec<(&'static str, String)>, may| Caller {
-        what,
-        headers,
-        may,
-        photo: of_ann.clone(),
-        link: None,
-        manager: false,
-        here: false,
-        foreign: false,
-        rebound: false,
-    };
-    let foreign = |what, headers: Vec<_>, may| Caller { foreign: true, ..caller(what, [evil.to_vec(), headers].concat(), may) };
-    let rebound = |what, headers: Vec<_>| {
-        let headers = [vec![("host", "evil.example".to_owned())], headers].concat();
-        Caller { rebound: true, ..caller(what, headers, May::Nothing) }
-    };
+    let caller = |what, headers: Vec<(&'static str, String)>, may| Caller { what, headers, may, photo: of_ann.clone(), link: None };
+    let foreign = |what, headers: Vec<_>, may| caller(what, [evil.to_vec(), headers].concat(), may);
+    let rebound = |what, headers: Vec<_>| caller(what, [vec![("host", "evil.example".to_owned())], headers].concat(), May::Nothing);
     let with_key = |what, scope, may| caller(what, vec![bearer(key("site", &[scope]))], may).asks_for(&of_site);
     let callers = [
         caller("a stranger", vec![], May::Nothing),
@@ -204,9 +198,9 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
         caller("a stranger with an expired link", vec![], May::Nothing).linked(&over),
         caller("a stranger with another photo's link", vec![], May::Nothing).linked(&other),
         caller("a stranger with a revoked link", vec![], May::Nothing).linked(&taken_link),
-        caller("a caller with the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage).manager(),
-        caller("a caller with another photo's token", vec![bearer(format!("Bearer {others_token}"))], May::Nothing).manager(),
-        caller("a caller with a revoked token", vec![bearer(format!("Bearer {taken_back}"))], May::Nothing).manager(),
+        caller("a caller with the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage),
+        caller("a caller with another photo's token", vec![bearer(format!("Bearer {others_token}"))], May::Nothing),
+        caller("a caller with a revoked token", vec![bearer(format!("Bearer {taken_back}"))], May::Nothing),
         caller("a browser with the photo's token", vec![kept.clone(), ("sec-fetch-site", "same-origin".into())], May::Manage),
         caller("another owner", vec![bearer(secret("b"))], May::Nothing),
         caller("another's key", vec![bearer(key("other", &[Scope::Upload, Scope::Read]))], May::Nothing),
@@ -217,12 +211,12 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
         with_key("the owner's key to read", Scope::Read, May::Read),
         with_key("the owner's key to metrics", Scope::Metrics, May::Metrics),
         caller("an admin's key", vec![bearer(key("boss", &[Scope::Admin]))], May::Everything),
-        Caller { here: true, ..caller("this machine's own user", vec![], May::Everything) },
+        caller("this machine's own user", vec![], May::Everything),
         foreign("another site", vec![], May::Nothing),
         foreign("another site, the owner's browser", vec![cookie.clone()], May::Nothing),
         foreign("another site, own machine's browser", vec![("host", server.addr.to_string())], May::Nothing),
         foreign("another site, a browser with the photo's token", vec![kept], May::Nothing),
-        foreign("another site that has the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage).manager(),
+        foreign("another site that has the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage),
         foreign("another site that has the secret", vec![bearer(ann.clone())], May::Own),
         rebound("a rebound name", vec![]),
         rebound("a rebound name, the owner's browser", vec![cookie]),

@@ -50,7 +50,7 @@ fn callers_who_may_make_a_photo_again_are_told_of_a_better_network() {
     let maker = Renewing::new();
     let server = private_with(Limits::default(), maker.clone());
     let (ann, bob) = (secret("a"), secret("b"));
-    let key = |name: &str, scope| format!("Bearer {}", key_fixture::add(server.data(), name, &[scope], None).unwrap());
+    let key = |name: &str, scope| key_fixture::add(server.data(), name, &[scope]);
     let (reader, boss) = (key("reader", Scope::Read), key("boss", Scope::Admin));
     let photo = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
     let state = |who: &str| ask(&server, "GET", &photo, &[("authorization", who)], &[]);

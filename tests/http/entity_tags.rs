@@ -88,7 +88,9 @@ fn unknown_and_repeated_query_parameters_are_refused_on_every_route() {
     for path in ["/v1/photos", "/healthz", "/readyz", "/metrics", "/openapi.json"] {
         assert_eq!(get(server.addr, &format!("{path}?zz=1")).problem(400)["field"], "zz", "{path}");
     }
-    for (query, field) in [("zz=1", "zz"), ("tile=64&tile=64", "tile"), ("max-size=50&max_size=60", "max_size")] {
+    for (query, field) in
+        [("zz=1", "zz"), ("tile=64&tile=64", "tile"), ("max-size=50&max_size=60", "max_size"), ("title=A%20title&title=A%20title", "title")]
+    {
         let path = format!("/v1/photos?{query}");
         assert_eq!(request(server.addr, "POST", &path, &[], &jpeg(1)).problem(400)["field"], field, "{query}");
     }

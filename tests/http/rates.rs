@@ -16,7 +16,7 @@ fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {
 fn a_key_over_its_rate_gets_429_and_other_keys_do_not() {
     let limits = Limits { rates: Rates { requests: 1000, uploads: 2, views: 3 }, ..Limits::default() };
     let server = private_with(limits, Arc::new(pipeline()));
-    let key = |name: &str| format!("Bearer {}", key_fixture::add(server.data(), name, &[Scope::Upload, Scope::Read], None).unwrap());
+    let key = |name: &str| key_fixture::add(server.data(), name, &[Scope::Upload, Scope::Read]);
     let (site, second_of_site, other) = (key("site"), key("site"), key("other"));
     let upload = |key: &str, seed| ask(&server, "POST", "/v1/photos", &[("authorization", key), ("prefer", "wait=60")], &jpeg(seed));
     let first = upload(&site, 1);

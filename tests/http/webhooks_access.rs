@@ -31,7 +31,7 @@ fn photos(receiver: &Receiver) -> Vec<String> {
 #[test]
 fn owners_are_told_of_their_photos_and_administrators_of_all() {
     let server = start();
-    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(server.data(), name, scopes, None).unwrap());
+    let key = |name: &str, scopes: &[Scope]| key_fixture::add(server.data(), name, scopes);
     let (ann, site, boss) = (secret("a"), key("site", &[Scope::Upload]), key("boss", &[Scope::Admin]));
     let receivers: Vec<Receiver> = (0..3).map(|_| Receiver::start(|_| Answer::of(200))).collect();
     let [of_ann, of_site, of_boss] = [(&ann, 0), (&site, 1), (&boss, 2)].map(|(who, n)| add(&server, who, &receivers[n].url));

@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Mutex;
 
 /// An error, with the step that failed.
 pub struct Fault {
@@ -14,6 +15,11 @@ pub struct Fault {
 impl Fault {
     pub fn new(text: impl Into<String>) -> Self {
         Self { step: None, text: text.into() }
+    }
+
+    /// An error of a file or folder.
+    pub fn at(path: &Path, error: &std::io::Error) -> Self {
+        Self::new(format!("{}: {error}", path.display()))
     }
 
     /// Names the step, unless one is already named.
@@ -159,6 +165,17 @@ pub fn exec(mut command: Command) -> Result<(), Fault> {
 #[cfg(not(unix))]
 pub fn exec(command: Command) -> Result<(), Fault> {
     run(command)
+}
+
+/// Calls `work` with each item on `threads` threads; returns the results.
+pub fn in_parallel<T: Send, R: Send>(threads: usize, items: impl Iterator<Item = T> + Send, work: impl Fn(T) -> R + Sync) -> Vec<R> {
+    let items = Mutex::new(items);
+    let next = || items.lock().ok().and_then(|mut items| items.next());
+    let worker = || std::iter::from_fn(next).map(&work).collect::<Vec<R>>();
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
+        workers.into_iter().flat_map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    })
 }
 
 /// Number of CPU cores.

@@ -1,42 +1,13 @@
-//! Runs the targets of `src/fuzzing.rs` under libFuzzer, starting from the seeds in `fuzz/seeds`.
+//! Runs the targets of `fuzz/targets` under libFuzzer, starting from the seeds in `fuzz/seeds`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Mutex;
 
-use crate::command::{self, Fault, cargo, cores, output, root, run_quietly};
+use crate::command::{self, Fault, cargo, cores, in_parallel, output, root, run_quietly};
 
-/// The targets of `src/fuzzing.rs`. A test there compares both lists.
-const TARGETS: [&str; 27] = [
-    "container",
-    "built",
-    "levels",
-    "labels",
-    "planes",
-    "message",
-    "room",
-    "units",
-    "video",
-    "vp9",
-    "measured",
-    "query",
-    "jpeg",
-    "png",
-    "webp",
-    "exif",
-    "icc",
-    "depth",
-    "embedded_depth",
-    "multipart",
-    "patch",
-    "strokes",
-    "forwarded",
-    "link",
-    "names",
-    "onnx",
-    "config",
-];
+/// Folder with the seeds of each target.
+const SEEDS: &str = "fuzz/seeds";
 const SECONDS: u32 = 60;
 /// An input that takes longer than this counts as a finding.
 const TIMEOUT: &str = "-timeout=20";
@@ -62,46 +33,45 @@ const BOOTSTRAP: &str = "RUSTC_BOOTSTRAP";
 /// The same sanitizer for the C libraries zstd and libwebp.
 const C_FLAGS: &str = "-fsanitize=address -fno-omit-frame-pointer -O1";
 
+/// Names of all targets: a test checks that they are those of the folders of seeds.
+fn targets() -> Result<Vec<String>, Fault> {
+    let folders = fs::read_dir(root().join(SEEDS)).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    let folders = folders.map_err(|e| Fault::at(Path::new(SEEDS), &e))?;
+    let mut names: Vec<String> = folders.iter().map(|folder| folder.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    Ok(names)
+}
+
 /// `[--seconds N] [TARGET…]`: fuzzes the named targets, or all, for N seconds each.
 pub fn fuzz(args: &[String]) -> Result<(), Fault> {
-    let (mut seconds, mut targets) = (SECONDS, Vec::new());
+    let (all, mut seconds, mut named) = (targets()?, SECONDS, Vec::new());
     let mut args = args.iter();
     while let Some(arg) = args.next() {
-        match arg.as_str() {
-            "--seconds" => {
-                let wrong = || Fault::new("--seconds takes a whole number");
-                seconds = args.next().and_then(|n| n.parse().ok()).ok_or_else(wrong)?;
-            }
-            other if TARGETS.contains(&other) => targets.extend(TARGETS.into_iter().filter(|t| *t == other)),
-            other => return Err(Fault::new(format!("unknown target {other:?}; expected one of {}", TARGETS.join(", ")))),
+        if arg == "--seconds" {
+            let wrong = || Fault::new("--seconds takes a whole number");
+            seconds = args.next().and_then(|n| n.parse().ok()).ok_or_else(wrong)?;
+        } else if all.contains(arg) {
+            named.push(arg.clone());
+        } else {
+            return Err(Fault::new(format!("unknown target {arg:?}; expected one of {}", all.join(", "))));
         }
     }
-    run(&targets, seconds)
+    run(if named.is_empty() { &all } else { &named }, seconds)
 }
 
-/// Fuzzes the named targets, or all if none is named, for `seconds` each.
-pub fn run(targets: &[&'static str], seconds: u32) -> Result<(), Fault> {
-    let targets = if targets.is_empty() { TARGETS.to_vec() } else { targets.to_vec() };
+/// Fuzzes all targets, which share `minutes`.
+pub fn fuzz_all(minutes: u64) -> Result<(), Fault> {
+    let all = targets()?;
+    let seconds = minutes * 60 * cores() as u64 / all.len().max(1) as u64;
+    run(&all, u32::try_from(seconds).unwrap_or(u32::MAX).max(1))
+}
+
+/// Fuzzes targets for `seconds` each.
+fn run(targets: &[String], seconds: u32) -> Result<(), Fault> {
     let program = build()?;
-    // one worker per core
-    let all = Mutex::new(targets.into_iter());
-    let worker = || {
-        let mut faults = Vec::new();
-        while let Some(name) = all.lock().ok().and_then(|mut all| all.next()) {
-            faults.extend(one(&program, name, seconds).err().map(|fault| fault.to_string()));
-        }
-        faults
-    };
-    let faults: Vec<String> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..cores()).map(|_| scope.spawn(worker)).collect();
-        workers.into_iter().flat_map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
-    });
+    let ended = in_parallel(cores(), targets.iter(), |name| one(&program, name, seconds));
+    let faults: Vec<String> = ended.into_iter().filter_map(Result::err).map(|fault| fault.to_string()).collect();
     if faults.is_empty() { Ok(()) } else { Err(Fault::new(faults.join("\n\n"))) }
-}
-
-/// Seconds per target if all targets together may take `minutes`.
-pub fn seconds_each(minutes: u64) -> u32 {
-    u32::try_from(minutes * 60 * cores() as u64 / TARGETS.len() as u64).unwrap_or(u32::MAX).max(1)
 }
 
 fn build() -> Result<PathBuf, Fault> {
@@ -122,13 +92,13 @@ fn one(program: &Path, name: &str, seconds: u32) -> Result<(), Fault> {
     let corpus = std::env::var_os(CORPUS).filter(|v| !v.is_empty()).map_or_else(|| root().join("target/fuzz/corpus"), PathBuf::from);
     let (found, crashes) = (corpus.join(name), root().join("target/fuzz/crashes").join(name));
     for folder in [&found, &crashes] {
-        fs::create_dir_all(folder).map_err(|e| Fault::new(format!("{}: {e}", folder.display())))?;
+        fs::create_dir_all(folder).map_err(|e| Fault::at(folder, &e))?;
     }
     let mut command = Command::new(program);
     // one thread each, because one target runs on each core
     command.env("TMPI_FUZZ", name).env("RAYON_NUM_THREADS", "1").current_dir(root()).args([TIMEOUT, MEMORY, LEAKS, "-print_final_stats=1"]);
     command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", crashes.display()));
-    command.arg(&found).arg(root().join("fuzz/seeds").join(name));
+    command.arg(&found).arg(root().join(SEEDS).join(name));
     let log = run_quietly(command)?;
     println!("{}", Figures::read(&log).line(name, seconds));
     Ok(())

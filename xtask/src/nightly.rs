@@ -26,7 +26,7 @@ const STEPS: [Step; 18] = [
     Step { name: "extreme options", run: || load("extreme_options.py") },
     Step { name: "making memory", run: || load("making_memory.py") },
     Step { name: "mutants", run: mutants },
-    Step { name: "fuzz", run: || fuzz::run(&[], fuzz::seconds_each(minutes())) },
+    Step { name: "fuzz", run: || fuzz::fuzz_all(minutes()) },
 ];
 
 /// Flag: time limit of each step in minutes.

@@ -47,7 +47,7 @@ fn environment(name: &str, requirements: &str) -> Result<PathBuf, Fault> {
     pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"]).arg(&wanted);
     run_quietly(pip)?;
     // copied last: marks the environment as complete
-    fs::copy(&wanted, &installed).map_err(|e| Fault::new(format!("{}: {e}", installed.display())))?;
+    fs::copy(&wanted, &installed).map_err(|e| Fault::at(&installed, &e))?;
     Ok(python)
 }
 

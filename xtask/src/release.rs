@@ -31,7 +31,7 @@ pub fn release(args: &[String]) -> Result<(), Fault> {
     let folder = root().join("target/archive");
     let stage = folder.join(&name);
     if stage.exists() {
-        fs::remove_dir_all(&stage).map_err(|e| at(&stage, &e))?;
+        fs::remove_dir_all(&stage).map_err(|e| Fault::at(&stage, &e))?;
     }
     fill(&stage, args.iter().any(|a| a == OFFLINE)).map_err(step("files"))?;
     let archive = format!("{name}.tar.gz");
@@ -47,15 +47,11 @@ pub fn release(args: &[String]) -> Result<(), Fault> {
     Ok(())
 }
 
-fn at(path: &Path, error: &std::io::Error) -> Fault {
-    Fault::new(format!("{}: {error}", path.display()))
-}
-
 /// Copies a file and creates the target's folder if needed.
 fn copy(from: &Path, to: &Path) -> Result<(), Fault> {
     let folder = to.parent().unwrap_or(to);
-    fs::create_dir_all(folder).map_err(|e| at(folder, &e))?;
-    fs::copy(from, to).map(|_| ()).map_err(|e| at(from, &e))
+    fs::create_dir_all(folder).map_err(|e| Fault::at(folder, &e))?;
+    fs::copy(from, to).map(|_| ()).map_err(|e| Fault::at(from, &e))
 }
 
 /// Fills the folder `stage` with the archive's contents.
@@ -73,10 +69,10 @@ fn fill(stage: &Path, offline: bool) -> Result<(), Fault> {
     if let Some(network) = if offline { None } else { network(&root().join("target/archive/models")) } {
         copy(&network, &stage.join("models").join(network.file_name().unwrap_or_default()))?;
         let list = output(&built(Profile::Release, "tmpi").to_string_lossy(), &["models", "list"]).unwrap_or_default();
-        fs::write(stage.join("models/README.txt"), list).map_err(|e| at(stage, &e))?;
+        fs::write(stage.join("models/README.txt"), list).map_err(|e| Fault::at(stage, &e))?;
     }
     let list = stage.join("licences/crates.txt");
-    fs::write(&list, crates()?).map_err(|e| at(&list, &e))
+    fs::write(&list, crates()?).map_err(|e| Fault::at(&list, &e))
 }
 
 /// Fetches the recommended depth network. If that fails, the program prints why, and this returns `None`.
@@ -139,7 +135,7 @@ fn licence_texts(package: &str) -> Vec<String> {
 /// Creates a temporary folder.
 fn temporary_folder(folder: &Path) -> Result<PathBuf, Fault> {
     let path = folder.join(format!("try-{}", std::process::id()));
-    fs::create_dir_all(&path).map_err(|e| at(&path, &e))?;
+    fs::create_dir_all(&path).map_err(|e| Fault::at(&path, &e))?;
     Ok(path)
 }
 

@@ -2,12 +2,11 @@
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
-use std::sync::Mutex;
 use std::time::Instant;
 
 use serde_json::Value;
 
-use crate::command::{Fault, Profile, cargo, command_line, cores, data, run, say};
+use crate::command::{Fault, Profile, cargo, command_line, cores, data, in_parallel, run, say};
 use crate::{runtime, tools};
 
 /// A test program that cargo has built.
@@ -20,14 +19,13 @@ struct TestProgram {
 }
 
 /// How a test program ended.
-#[derive(Clone)]
 struct Outcome {
     name: String,
     counts: Counts,
 }
 
 /// Counts that a test program prints at its end.
-#[derive(Clone, Default)]
+#[derive(Default)]
 struct Counts {
     passed: usize,
     failed: usize,
@@ -122,20 +120,7 @@ const PROGRAMS: usize = 2;
 pub fn run_all() -> Result<(), Fault> {
     let mut programs = programs()?;
     programs.sort_by_key(|p| std::cmp::Reverse(p.executable.metadata().map_or(0, |m| m.len())));
-    let next = Mutex::new(programs.iter());
-    let worker = || {
-        let mut results = Vec::new();
-        while let Some(program) = next.lock().ok().and_then(|mut rest| rest.next()) {
-            results.push(program.run()?);
-        }
-        Ok(results)
-    };
-    let results = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..PROGRAMS).map(|_| scope.spawn(worker)).collect();
-        let all = workers.into_iter().map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
-        all.collect::<Result<Vec<Vec<Outcome>>, Fault>>()
-    })?;
-    let results = results.concat();
+    let results = in_parallel(PROGRAMS, programs.iter(), TestProgram::run).into_iter().collect::<Result<Vec<_>, Fault>>()?;
     let sum = |of: fn(&Counts) -> usize| results.iter().map(|r| of(&r.counts)).sum::<usize>();
     say(&format!("Rust tests: {} passed, {} failed, {} ignored", sum(|c| c.passed), sum(|c| c.failed), sum(|c| c.ignored)));
     let failed: Vec<&str> = results.iter().filter(|r| r.counts.failed > 0).map(|r| r.name.as_str()).collect();

@@ -18,21 +18,20 @@ pub fn file() -> PathBuf {
 /// Starts an empty list.
 pub fn clear() -> Result<(), Fault> {
     let file = file();
-    fs::create_dir_all(target()).and_then(|()| fs::write(&file, "")).map_err(|e| Fault::new(format!("{}: {e}", file.display())))
+    fs::create_dir_all(target()).and_then(|()| fs::write(&file, "")).map_err(|e| Fault::at(&file, &e))
 }
 
 /// Appends a skipped test.
 pub fn add(need: &str, test: &str, reason: &str) -> Result<(), Fault> {
     let file = file();
     let open = fs::OpenOptions::new().append(true).create(true).open(&file);
-    open.and_then(|mut f| f.write_all(format!("{need}\t{test}\t{reason}\n").as_bytes()))
-        .map_err(|e| Fault::new(format!("{}: {e}", file.display())))
+    open.and_then(|mut f| f.write_all(format!("{need}\t{test}\t{reason}\n").as_bytes())).map_err(|e| Fault::at(&file, &e))
 }
 
 /// Prints the skipped tests, each with its reason, and their number.
 pub fn print() -> Result<(), Fault> {
     let file = file();
-    let list = fs::read_to_string(&file).map_err(|e| Fault::new(format!("{}: {e}", file.display())))?;
+    let list = fs::read_to_string(&file).map_err(|e| Fault::at(&file, &e))?;
     let lines: BTreeSet<&str> = list.lines().collect();
     for line in &lines {
         let mut fields = line.splitn(3, '\t');

@@ -174,5 +174,5 @@ fn s3_server() -> Result<(), Fault> {
     pip.arg(&folder).arg("--requirement").arg(root().join(S3_PACKAGES));
     run_quietly(pip)?;
     // written last: marks the folder as complete
-    fs::copy(root().join(S3_PACKAGES), &whole).map(drop).map_err(|e| Fault::new(format!("{}: {e}", whole.display())))
+    fs::copy(root().join(S3_PACKAGES), &whole).map(drop).map_err(|e| Fault::at(&whole, &e))
 }

@@ -51,7 +51,7 @@ fn module(sysroot: &str, package: &str, name: &str) -> Result<(), Fault> {
     run(build)?;
     let from = target.join(TARGET).join("wasm").join(package.replace('-', "_")).with_extension("wasm");
     let to = root().join("static").join(name);
-    let bytes = std::fs::copy(&from, &to).map_err(|e| Fault::new(format!("{}: {e}", from.display())))?;
+    let bytes = std::fs::copy(&from, &to).map_err(|e| Fault::at(&from, &e))?;
     println!("{}: {bytes} bytes", to.display());
     Ok(())
 }

@@ -61,7 +61,7 @@ impl Package {
         let done = self.download(wheel, &python, &temporary);
         let _ = fs::remove_dir_all(&temporary);
         done?;
-        fs::write(&stamp, self.version).map_err(|e| Fault::new(format!("{}: {e}", stamp.display())))
+        fs::write(&stamp, self.version).map_err(|e| Fault::at(&stamp, &e))
     }
 
     fn wheel(&self) -> Option<&'static Wheel> {
@@ -75,10 +75,10 @@ impl Package {
     }
 
     fn download(&self, wheel: &Wheel, python: &str, temporary: &Path) -> Result<(), Fault> {
-        fs::create_dir_all(temporary).map_err(|e| Fault::new(format!("{}: {e}", temporary.display())))?;
+        fs::create_dir_all(temporary).map_err(|e| Fault::at(temporary, &e))?;
         let requirements = temporary.join("requirements.txt");
         let line = format!("{}=={} --hash=sha256:{}\n", self.name, self.version, wheel.sha256);
-        fs::write(&requirements, line).map_err(|e| Fault::new(format!("{}: {e}", requirements.display())))?;
+        fs::write(&requirements, line).map_err(|e| Fault::at(&requirements, &e))?;
         let mut pip = Command::new(python);
         pip.args([
             "-m",

@@ -17,13 +17,10 @@ pub struct Problem {
     #[serde(default)]
     pub detail: String,
     /// Field, parameter or option that caused the problem.
-    #[serde(default)]
     pub field: Option<String>,
     /// Id of the request in the server's log.
-    #[serde(default)]
     pub request_id: Option<String>,
     /// Seconds after which another try may succeed.
-    #[serde(default)]
     pub retry_after: Option<u64>,
 }
 

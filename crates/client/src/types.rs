@@ -61,7 +61,6 @@ pub struct Links {
     pub embed: String,
     /// Page to view and change the photo, for [`crate::Client::with_manage_link`]. It is a secret, and present only in the answer to an
     /// upload without a key to a server with authentication.
-    #[serde(default)]
     pub manage: Option<String>,
 }
 
@@ -90,28 +89,28 @@ pub enum Visibility {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Title of the photo, 1 to 200 characters.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub title: Option<String>,
     /// How far the camera moves, each 0 to 1 of the view box.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<Offset>,
     /// Disparity that stays in place while the camera moves, 0 (infinity) to 1 (the nearest surface).
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub focus: Option<f64>,
     /// Where the camera starts, each −1 to 1 of the view box.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<Offset>,
     /// Idle animation of the camera; `none` disables it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub idle: Option<String>,
     /// Speed of the idle animation, 0.25 to 4 times the default.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
     /// Who may see it, on a server with authentication.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub visibility: Option<Visibility>,
     /// Camera position of the poster, each −1 to 1 of the view box.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub poster: Option<Offset>,
 }
 
@@ -126,42 +125,30 @@ pub struct PhotoState {
     /// When the server accepted it (RFC 3339, UTC).
     pub created: String,
     /// When processing finished or failed.
-    #[serde(default)]
     pub finished: Option<String>,
     /// When retention deletes it.
-    #[serde(default)]
     pub expires: Option<String>,
     /// Number of photos ahead of this one in the queue; only while it waits.
-    #[serde(default)]
     pub position: Option<usize>,
     /// Server fault that blocks processing; only while it waits.
-    #[serde(default)]
     pub waits_for: Option<String>,
     /// Current stage; only while it is being processed.
-    #[serde(default)]
     pub progress: Option<Progress>,
     /// Why processing failed, or what is damaged.
-    #[serde(default)]
     pub problem: Option<Problem>,
     /// Size of the uploaded photo in bytes.
     pub photo_bytes: u64,
     /// Size of the container in bytes; once done.
-    #[serde(default)]
     pub atlas_bytes: Option<u64>,
     /// Width of the scene in pixels; once done.
-    #[serde(default)]
     pub width: Option<u32>,
     /// Height of the scene in pixels; once done.
-    #[serde(default)]
     pub height: Option<u32>,
     /// Version of the result; once done.
-    #[serde(default)]
     pub version: Option<String>,
     /// A better depth network that is available. Only in the state of a single photo, and only if the caller may reprocess it.
-    #[serde(default)]
     pub better_depth: Option<String>,
     /// Who may see it; only on a server with authentication.
-    #[serde(default)]
     pub visibility: Option<Visibility>,
     /// The owner's settings for viewers.
     #[serde(default)]
@@ -182,16 +169,12 @@ pub struct Link {
     /// The container.
     pub atlas: String,
     /// Query that gives access to any URL of the photo; `None` on a server without authentication.
-    #[serde(default)]
     pub query: Option<String>,
     /// When it expires, in seconds since 1970.
-    #[serde(default)]
     pub expires: Option<u64>,
     /// Page where others can view and change only this photo, for [`crate::Client::with_manage_link`]. It is a secret, valid until
     /// [`crate::Client::take_links_back`].
-    #[serde(default)]
     pub manage: Option<String>,
     /// Page that signs another browser in as the same owner; `None` if the caller has no secret of its own.
-    #[serde(default)]
     pub ticket: Option<String>,
 }

@@ -8,10 +8,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use serde::Serialize;
+
+use crate::LabError;
 use tmpi_core::{Camera, Geometry, Photo, Pose, Scene, compose, container, texture};
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{MakeError, Models, Options, Silent};
-use tmpi_render::{Cpu, RenderError, Renderer};
+use tmpi_pipeline::{Models, Options, Silent};
+use tmpi_render::{Cpu, Renderer};
 
 /// Distance that the camera moves to either side, in units of the nearest distance.
 pub const MOVE: f64 = 0.06;
@@ -179,20 +181,6 @@ impl Spread {
     }
 }
 
-/// Why ghosts could not be measured.
-#[derive(Debug, thiserror::Error)]
-pub enum GhostError {
-    /// A photo cannot be made.
-    #[error(transparent)]
-    Make(#[from] MakeError),
-    /// Its container cannot be read.
-    #[error(transparent)]
-    Container(#[from] container::ContainerError),
-    /// A view cannot be drawn.
-    #[error(transparent)]
-    Render(#[from] RenderError),
-}
-
 /// Ghosts of a photo, made without matting and as usual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Pair {
@@ -213,18 +201,19 @@ pub fn unmatted(bytes: &[u8]) -> Result<Scene, container::ContainerError> {
     Ok(compose(photo, &geometry, tiles))
 }
 
-/// Makes a photo and measures ghosts at [`MOVE`] to both sides.
+/// Makes the named photo and measures ghosts at [`MOVE`] to both sides.
 ///
 /// # Errors
-/// [`GhostError`].
-pub fn of_photo(models: &Models, file: &[u8]) -> Result<Pair, GhostError> {
+/// [`LabError`].
+pub fn of_photo(models: &Models, name: &str, file: &[u8]) -> Result<Pair, LabError> {
     let mut options = Options::default();
     options.view_box.x = MOVE;
-    let made = tmpi_pipeline::make(models, &Limits::default(), file, None, &options, &Silent)?;
+    let made = tmpi_pipeline::make(models, &Limits::default(), file, None, &options, &Silent)
+        .map_err(|source| LabError::Make { subject: name.into(), source })?;
     let geometry = container::read_geometry(&made.container)?;
     let surface = geometry.surface();
     let scenes = [Arc::new(unmatted(&made.container)?), Arc::new(container::decode(&made.container)?)];
-    let found = scenes.map(|scene| -> Result<Ghosts, GhostError> {
+    let found = scenes.map(|scene| -> Result<Ghosts, LabError> {
         let (width, height) = (scene.photo.width, scene.photo.height);
         let subject = Subject { photo: &scene.photo, delta: surface.all(), focal: scene.intrinsics.fx };
         let (cpu, mut all) = (Cpu::default(), Ghosts::default());

@@ -5,9 +5,14 @@
 
 pub mod bench;
 pub mod conformance;
+mod error;
 pub mod eval;
+pub mod files;
 pub mod ghosts;
 pub mod live;
 pub mod metrics;
 pub mod oracle_depth;
 pub mod scenes;
+pub mod table;
+
+pub use error::LabError;

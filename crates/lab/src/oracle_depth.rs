@@ -1,6 +1,9 @@
 //! Oracle depth: a known disparity map in place of a network's estimate.
 
+use std::sync::Arc;
+
 use tmpi_core::{DisparityMap, Photo};
+use tmpi_pipeline::Models;
 use tmpi_pipeline::depth::{DepthError, Estimator};
 
 /// Returns a known map as an estimator, so that the pipeline treats it as estimated.
@@ -14,4 +17,16 @@ impl Estimator for OracleDepth {
     fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
         Ok(self.0.clone())
     }
+}
+
+/// Models whose depth is empty, for measurements that estimate none.
+#[must_use]
+pub fn none() -> Models {
+    models(OracleDepth(DisparityMap { width: 0, height: 0, delta: Vec::new() }))
+}
+
+/// This source of depth, and no other networks.
+#[must_use]
+pub fn models(depth: impl Estimator + 'static) -> Models {
+    Models { depth: Arc::new(depth), theta: None, psi: None }
 }

@@ -1,78 +1,14 @@
 //! Tests the command line of the built program: exit codes, output streams, JSON and files.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 
 use image::{Luma, Rgb, RgbImage};
-use serde_json::Value;
-use tempfile::TempDir;
 use tmpi_testing::Need;
+use tmpi_testing::program::{Folder, box_before_a_wall};
 
-/// The program's working folder.
-struct Folder(TempDir);
-
-/// Result of a run.
-struct Run {
-    code: Option<i32>,
-    out: String,
-    err: String,
-}
-
-impl Folder {
-    fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
-    }
-
-    /// A folder with `box.png` and `box.jpg`, pictures of a box in front of a wall.
-    fn with_pictures() -> Self {
-        let folder = Self::new();
-        let picture = box_before_a_wall();
-        picture.save(folder.path("box.png")).unwrap();
-        picture.save(folder.path("box.jpg")).unwrap();
-        folder
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn run(&self, args: &[&str]) -> Run {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi-lab"));
-        // ignore networks that the user of this machine has fetched
-        command.env("TMPI_MODELS", self.path("models")).env_remove("TMPI_DEPTH_MODEL").env_remove("RUST_LOG");
-        let out = command.current_dir(self.0.path()).args(args).output().unwrap();
-        let text = |bytes| String::from_utf8(bytes).unwrap();
-        Run { code: out.status.code(), out: text(out.stdout), err: text(out.stderr) }
-    }
-}
-
-impl Run {
-    fn succeeds(self) -> Self {
-        assert_eq!(self.code, Some(0), "{}{}", self.out, self.err);
-        self
-    }
-
-    /// Asserts that the run failed, with no standard output and with every word in the message.
-    fn fails(&self, code: i32, words: &[&str]) {
-        assert_eq!((self.code, self.out.as_str()), (Some(code), ""), "{}", self.err);
-        for word in words {
-            assert!(self.err.contains(word), "{word:?} is not in: {}", self.err);
-        }
-        assert!(!self.err.contains("panicked"), "{}", self.err);
-    }
-
-    fn json(&self) -> Value {
-        serde_json::from_str(&self.out).unwrap()
-    }
-}
-
-fn box_before_a_wall() -> RgbImage {
-    RgbImage::from_fn(150, 100, |x, y| {
-        let texture = ((x * 7 + y * 13) % 32) as u8;
-        let inside = (50..90).contains(&x) && (30..70).contains(&y);
-        if inside { Rgb([200 + texture, 120 + texture, 60]) } else { Rgb([40, 90 + texture, 160 + texture]) }
-    })
+fn folder() -> Folder {
+    Folder::of(env!("CARGO_BIN_EXE_tmpi-lab"))
 }
 
 /// Whether networks can run.
@@ -82,7 +18,7 @@ fn has_networks() -> bool {
 
 #[test]
 fn help_succeeds_and_wrong_arguments_are_usage_errors() {
-    let f = Folder::new();
+    let f = folder();
     let help = f.run(&["--help"]).succeeds();
     assert!(help.err.is_empty(), "{}", help.err);
     for name in ["check", "bench", "eval", "synth", "compare", "live-bench"] {
@@ -97,7 +33,7 @@ fn help_succeeds_and_wrong_arguments_are_usage_errors() {
 
 #[test]
 fn compare_reports_picture_metrics() {
-    let f = Folder::with_pictures();
+    let f = folder().with_box();
     let same = f.run(&["compare", "box.png", "box.png", "--json"]).succeeds().json();
     assert_eq!((same["flip"].as_f64(), same["share_off"].as_f64(), same["max_abs"].as_u64()), (Some(0.0), Some(0.0), Some(0)));
     let jpeg = f.run(&["compare", "box.png", "box.jpg", "--json"]).succeeds().json();
@@ -115,7 +51,7 @@ fn compare_reports_picture_metrics() {
 
 #[test]
 fn check_measures_view_box_corners_on_photos() {
-    let f = Folder::new();
+    let f = folder();
     if !has_networks() {
         return;
     }
@@ -123,7 +59,7 @@ fn check_measures_view_box_corners_on_photos() {
     // the bounds, in percent of pixels, apply to photos of typical size
     let large = image::imageops::resize(&box_before_a_wall(), 600, 400, image::imageops::FilterType::Nearest);
     large.save(f.path("photos/box.png")).unwrap();
-    std::fs::write(f.path("photos/notes.txt"), b"no photo").unwrap();
+    f.write("photos/notes.txt", b"no photo");
     let checked = f.run(&["check", "--photos", "photos", "--json"]).succeeds().json();
     let cases = checked["cases"].as_array().unwrap();
     assert_eq!((cases.len(), cases[0]["name"].as_str()), (4, Some("half-way to them, box.png")));
@@ -131,7 +67,7 @@ fn check_measures_view_box_corners_on_photos() {
 
 #[test]
 fn eval_scores_methods_on_rendered_scenes() {
-    let f = Folder::new();
+    let f = folder();
     f.run(&["synth", "-o", "scenes", "--count", "1", "--size", "160x96", "--views", "2", "--baseline", "0.03"]).succeeds();
     let results = f.run(&["eval", "scenes", "--only", "mesh,ours", "--json"]).succeeds().json();
     assert_eq!((results["views"].as_u64(), results["blank"].as_u64(), results["depth_score"].is_null()), (Some(2), Some(0), true));
@@ -148,7 +84,7 @@ fn eval_scores_methods_on_rendered_scenes() {
 
 #[test]
 fn lpips_uses_a_network_with_two_inputs() {
-    let f = Folder::new();
+    let f = folder();
     if !has_networks() {
         return;
     }

@@ -7,17 +7,18 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use image::{ExtendedColorType, ImageEncoder};
+use image::ExtendedColorType;
 use serde::{Deserialize, Serialize};
 use tmpi_core::container::decode;
 use tmpi_core::{Camera, DisparityMap, Pose, ViewBox};
 use tmpi_lab::metrics::psnr;
-use tmpi_lab::oracle_depth::OracleDepth;
+use tmpi_lab::oracle_depth::{self, OracleDepth};
 use tmpi_lab::scenes::Scene;
 use tmpi_pipeline::depth::halved;
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{Made, Models, Options, Silent, make};
 use tmpi_render::{Cpu, Renderer};
+use tmpi_testing::pictures;
 
 const SIZE: (u32, u32) = (320, 208);
 /// Seeds that were not used for training or tuning, and the kind of their maps.
@@ -73,16 +74,14 @@ fn subject(seed: u64, map: Map) -> Subject {
     let scene = Scene::framed(seed, SIZE.0, SIZE.1);
     let camera = scene.camera();
     let picture = scene.render(&camera, 3);
-    let mut file = Vec::new();
-    let encoder = image::codecs::png::PngEncoder::new(&mut file);
-    encoder.write_image(picture.photo.rgb.as_flattened(), SIZE.0, SIZE.1, ExtendedColorType::Rgb8).unwrap();
+    let file = pictures::png(SIZE.0, SIZE.1, picture.photo.rgb.as_flattened(), ExtendedColorType::Rgb8);
     let png = |map: &DisparityMap| Some(tmpi_pipeline::depth::to_png(map).unwrap());
     let given = match map {
         Map::Exact => png(&picture.disparity),
         Map::Noisy => png(&noisy(&picture.disparity)),
         Map::Blurred => None,
     };
-    let models = Models { depth: Arc::new(OracleDepth(halved(&picture.disparity))), theta: None, psi: None };
+    let models = oracle_depth::models(OracleDepth(halved(&picture.disparity)));
     Subject { scene, camera, file, given, models }
 }
 

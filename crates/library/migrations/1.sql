@@ -20,13 +20,6 @@ CREATE TABLE keys (
     expires_at BIGINT
 );
 
-CREATE TABLE sessions (
-    hash TEXT PRIMARY KEY,
-    owner TEXT NOT NULL REFERENCES owners (owner),
-    created_at BIGINT NOT NULL,
-    expires_at BIGINT NOT NULL
-);
-
 CREATE TABLE photos (
     id TEXT PRIMARY KEY,
     owner TEXT REFERENCES owners (owner),

@@ -10,7 +10,8 @@ use crate::blobs::{Content, Contents};
 use crate::change_notifications::Event;
 use crate::error::{LibraryError, Result};
 use crate::ids::PhotoId;
-use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, bytes_of, to_json};
+use crate::owner::Owner;
+use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, bytes_of, to_json};
 use crate::photos::locked_photo;
 use crate::queue::{JobKind, NewJob, Requester};
 use crate::remake::Remake;
@@ -105,8 +106,8 @@ impl Library {
         let mut tx = self.database().write().await?;
         locked_photo(&mut tx, id).await?;
         let update = format!("UPDATE photos SET listed_at = $1 WHERE id = $2 RETURNING {COLUMNS}");
-        let update = sqlx::query(AssertSqlSafe(update)).bind(tx.now).bind(id.to_string());
-        let photo = Photo::from_row(&update.fetch_one(tx.connection()).await?)?;
+        let update = sqlx::query_as(AssertSqlSafe(update)).bind(tx.now).bind(id.to_string());
+        let photo = update.fetch_one(tx.connection()).await?;
         tx.notify(Event::Photo(id));
         tx.commit().await?;
         Ok(photo)
@@ -119,22 +120,21 @@ impl Library {
         let photo = std::mem::replace(&mut upload.photo, Content::of_bytes(Vec::new()));
         let mut contents = Contents::from([(Part::Upload, photo)]);
         contents.extend(upload.depth.take().map(|depth| (Part::Depth, depth)));
-        let blobs = self.blobs().store(upload.id, contents).await?;
-        let written = blob_names(&blobs);
-        match self.insert(&upload, &blobs).await {
-            Ok(Some(photo)) => Ok(Accepted { photo, outcome: Outcome::New }),
-            Ok(None) => {
-                self.blobs().discard(written).await;
-                Ok(Accepted { photo: self.get(upload.id).await?, outcome: Outcome::Known })
-            }
-            Err(error) => Err(self.blobs().discard_refused(written, error).await),
+        match self.blobs().store_for(upload.id, contents, |blobs| self.insert(&upload, blobs)).await {
+            Ok(photo) => Ok(Accepted { photo, outcome: Outcome::New }),
+            // a concurrent upload of the same photo was faster
+            Err(LibraryError::Changed) => Ok(Accepted { photo: self.get(upload.id).await?, outcome: Outcome::Known }),
+            Err(error) => Err(error),
         }
     }
 
-    /// Inserts a photo and its job; `None` if the photo exists.
-    async fn insert(&self, upload: &Upload, blobs: &Blobs) -> Result<Option<Photo>> {
+    /// Inserts a photo and its job.
+    ///
+    /// # Errors
+    /// [`LibraryError::Changed`] if the photo exists.
+    async fn insert(&self, upload: &Upload, blobs: Blobs) -> Result<Photo> {
         let mut tx = self.database().write().await?;
-        let bytes = bytes_of(blobs);
+        let bytes = bytes_of(&blobs);
         let owner = upload.requester.owner.as_ref();
         if let Some(owner) = owner {
             tx.lock_owner(owner.as_str()).await?;
@@ -144,16 +144,15 @@ impl Library {
             "INSERT INTO photos (id, owner, accepted_at, listed_at, viewed_at, class, options, settings, settings_version, link_generation,
              state, version, blobs, bytes, checked_at) VALUES ($1, $2, $3, $3, $3, $4, $5, $6, 1, 1, $7, 1, $8, $9, $3) ON CONFLICT (id) DO NOTHING RETURNING {COLUMNS}"
         );
-        let now = tx.now;
-        let insert = sqlx::query(AssertSqlSafe(insert)).bind(upload.id.to_string()).bind(owner.map(|o| o.as_str().to_owned())).bind(now);
+        let insert = sqlx::query_as(AssertSqlSafe(insert)).bind(upload.id.to_string()).bind(owner.map(Owner::as_str)).bind(tx.now);
         let insert = insert.bind(upload.class.rank()).bind(to_json(&upload.options)?).bind(to_json(&upload.settings)?);
-        let insert = insert.bind(PhotoState::Queued.name()).bind(to_json(blobs)?).bind(bytes);
-        let Some(row) = insert.fetch_optional(tx.connection()).await? else { return Ok(None) };
+        let insert = insert.bind(PhotoState::Queued.name()).bind(to_json(&blobs)?).bind(bytes);
+        let photo = insert.fetch_optional(tx.connection()).await?.ok_or(LibraryError::Changed)?;
         let job =
             NewJob { kind: JobKind::Make, photo: upload.id, version: 1, key: None, class: upload.class, requester: &upload.requester };
         self.enqueue(&mut tx, &job, &Value::from(upload.requester.trace.clone())).await?;
         tx.notify(Event::Photo(upload.id));
         tx.commit().await?;
-        Photo::from_row(&row).map(Some)
+        Ok(photo)
     }
 }

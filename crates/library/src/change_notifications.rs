@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sqlx::postgres::PgListener;
 use tokio::sync::broadcast;
-use tokio::task::JoinHandle;
+use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use crate::error::Result;
@@ -102,16 +102,8 @@ impl Receivers {
 #[derive(Clone, Debug)]
 pub(crate) struct Events {
     receivers: Arc<Receivers>,
-    listener: Option<Arc<Listener>>,
-}
-
-#[derive(Debug)]
-struct Listener(JoinHandle<()>);
-
-impl Drop for Listener {
-    fn drop(&mut self) {
-        self.0.abort();
-    }
+    /// The task that receives those of other nodes, which ends with the last clone.
+    listener: Option<Arc<JoinSet<()>>>,
 }
 
 impl Events {
@@ -120,8 +112,9 @@ impl Events {
         let receivers = Arc::new(Receivers { sender: broadcast::Sender::new(BEHIND), progress: Mutex::default() });
         let listener = match url {
             Some(url) => {
-                let first = connect(url).await?;
-                Some(Arc::new(Listener(tokio::spawn(listen(url.to_owned(), first, Arc::clone(&receivers))))))
+                let mut task = JoinSet::new();
+                task.spawn(listen(url.to_owned(), connect(url).await?, Arc::clone(&receivers)));
+                Some(Arc::new(task))
             }
             None => None,
         };
@@ -162,8 +155,7 @@ async fn connect(url: &str) -> Result<PgListener> {
     Ok(listener)
 }
 
-async fn listen(url: String, first: PgListener, receivers: Arc<Receivers>) {
-    let mut listener = first;
+async fn listen(url: String, mut listener: PgListener, receivers: Arc<Receivers>) {
     loop {
         let error = loop {
             let heard = match timeout(SILENCE, listener.try_recv()).await {
@@ -176,11 +168,8 @@ async fn listen(url: String, first: PgListener, receivers: Arc<Receivers>) {
                 },
             };
             match heard {
-                Ok(Some(notification)) => match serde_json::from_str(notification.payload()) {
-                    Ok(event) => receivers.deliver(event),
-                    // an event of a newer version
-                    Err(_) => receivers.deliver(Event::Gap),
-                },
+                // an event of a newer version is a gap
+                Ok(Some(notification)) => receivers.deliver(serde_json::from_str(notification.payload()).unwrap_or(Event::Gap)),
                 Ok(None) => receivers.deliver(Event::Gap),
                 Err(error) => break error,
             }

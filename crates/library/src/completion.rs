@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use serde_json::Value;
-use sqlx::{AssertSqlSafe, Row as _};
+use sqlx::AssertSqlSafe;
 
 use crate::blobs::Contents;
 use crate::change_notifications::Event;
@@ -48,21 +48,17 @@ impl Library {
     /// [`LibraryError::LeaseLost`], after which the results are discarded; [`LibraryError::StorageFull`] and [`LibraryError::Unavailable`],
     /// after which the lease still holds.
     pub async fn finish(&self, lease: &Lease, made: PhotoResults) -> Result<Photo> {
-        let blobs = self.blobs().store(lease.job.photo, made.contents).await?;
-        let written = blob_names(&blobs);
-        match self.keep(lease, &made.details, blobs).await {
-            Ok((photo, replaced)) => {
-                self.blobs().discard_later(replaced).await;
-                Ok(photo)
-            }
-            Err(error) => Err(self.blobs().discard_refused(written, error).await),
-        }
+        let PhotoResults { contents, details } = made;
+        let keep = |blobs| self.keep(lease, &details, blobs);
+        let (photo, replaced) = self.blobs().store_for(lease.job.photo, contents, keep).await?;
+        self.blobs().discard_later(replaced).await;
+        Ok(photo)
     }
 
     async fn keep(&self, lease: &Lease, details: &Value, blobs: Blobs) -> Result<(Photo, Vec<String>)> {
         let mut tx = self.database().write().await?;
         tx.lock_jobs(lease.job.photo).await?;
-        end(&mut tx, &lease.job, &lease.token()).await?;
+        end(&mut tx, &lease.job, lease.token()).await?;
         let before = locked_photo(&mut tx, lease.job.photo).await?;
         let (old, mut all): (Blobs, Blobs) = before.blobs.into_iter().partition(|(part, _)| part.is_result());
         all.extend(blobs);
@@ -70,9 +66,9 @@ impl Library {
             "UPDATE photos SET state = $1, blobs = $2, bytes = $3, details = $4, problem = NULL, finished_at = $5, checked_at = $5 WHERE id = $6 RETURNING {}",
             photo::COLUMNS
         );
-        let update = sqlx::query(AssertSqlSafe(update)).bind(PhotoState::Done.name()).bind(to_json(&all)?).bind(bytes_of(&all));
+        let update = sqlx::query_as(AssertSqlSafe(update)).bind(PhotoState::Done.name()).bind(to_json(&all)?).bind(bytes_of(&all));
         let update = update.bind(to_json(details)?).bind(tx.now).bind(lease.job.photo.to_string());
-        let photo = Photo::from_row(&update.fetch_one(tx.connection()).await?)?;
+        let photo: Photo = update.fetch_one(tx.connection()).await?;
         // exports of the previous version
         let mut replaced = exports::remove_of(&mut tx, lease.job.photo).await?;
         replaced.extend(blob_names(&old));
@@ -89,7 +85,7 @@ impl Library {
     /// [`LibraryError::LeaseLost`].
     pub async fn fail(&self, lease: &Lease, problem: &Problem) -> Result<()> {
         let mut tx = self.database().write().await?;
-        self.fail_in(&mut tx, &lease.job, &lease.token(), problem).await?;
+        self.fail_in(&mut tx, &lease.job, lease.token(), problem).await?;
         tx.commit().await
     }
 
@@ -104,7 +100,7 @@ impl Library {
             let update =
                 "UPDATE jobs SET state = 'failed', lease_token = NULL, lease_until = NULL, owner = NULL, address = NULL, problem = $1,
                 used_at = $2 WHERE id = $3 AND lease_token = $4";
-            let update = sqlx::query(update).bind(to_json(problem)?).bind(tx.now).bind(job.id.clone()).bind(token.to_owned());
+            let update = sqlx::query(update).bind(to_json(problem)?).bind(tx.now).bind(&job.id).bind(token);
             is_held(&update.execute(tx.connection()).await?)?;
             (EventType::ExportFailed, EventData::of_export(job, &photo, Some(problem)))
         };
@@ -119,7 +115,7 @@ impl Library {
     /// [`LibraryError::LeaseLost`].
     pub async fn retry(&self, lease: &Lease, why: &Retry) -> Result<()> {
         let mut tx = self.database().write().await?;
-        self.put_back(&mut tx, &lease.job, &lease.token(), why).await?;
+        self.put_back(&mut tx, &lease.job, lease.token(), why).await?;
         tx.commit().await
     }
 
@@ -138,12 +134,11 @@ impl Library {
         let update =
             "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until = NULL, attempts = attempts + $1, faults = faults + $2,
             problem = $3 WHERE id = $4 AND lease_token = $5 RETURNING faults, attempts";
-        let update = sqlx::query(update).bind(died).bind(fault).bind(problem.as_ref().map(to_json).transpose()?);
-        let row =
-            update.bind(job.id.clone()).bind(token.to_owned()).fetch_optional(tx.connection()).await?.ok_or(LibraryError::LeaseLost)?;
-        let faults = if fault == 1 { row.try_get("faults")? } else { died * row.try_get::<i64, _>("attempts")? };
-        let after = tx.now + back_off(faults);
-        sqlx::query("UPDATE jobs SET run_after = $1 WHERE id = $2").bind(after).bind(job.id.clone()).execute(tx.connection()).await?;
+        let update = sqlx::query_as(update).bind(died).bind(fault).bind(problem.as_ref().map(to_json).transpose()?);
+        let updated: Option<(i64, i64)> = update.bind(&job.id).bind(token).fetch_optional(tx.connection()).await?;
+        let (faults, attempts) = updated.ok_or(LibraryError::LeaseLost)?;
+        let after = tx.now + back_off(if fault == 1 { faults } else { died * attempts });
+        sqlx::query("UPDATE jobs SET run_after = $1 WHERE id = $2").bind(after).bind(&job.id).execute(tx.connection()).await?;
         if job.kind == JobKind::Make {
             set_state(tx, job, PhotoState::Queued).await?;
         }
@@ -161,7 +156,7 @@ fn back_off(faults: i64) -> Millis {
 
 /// Deletes the row of a job.
 async fn end(tx: &mut Tx, job: &Job, token: &str) -> Result<()> {
-    let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND lease_token = $2").bind(job.id.clone()).bind(token.to_owned());
+    let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND lease_token = $2").bind(&job.id).bind(token);
     is_held(&delete.execute(tx.connection()).await?)
 }
 

@@ -1,23 +1,21 @@
-//! API keys and browser sessions. Both are stored as hashes: a secret has 256 random bits, so one SHA-256 is enough.
+//! API keys, stored as hashes: a secret has 256 random bits, so one SHA-256 is enough.
 
 use std::time::Duration;
 
-use sqlx::Row as _;
 use sqlx::any::AnyRow;
+use sqlx::{FromRow, Row as _};
 
 use crate::change_notifications::Event;
 use crate::digest::{Digest, hex};
 use crate::error::{LibraryError, Result};
 use crate::ids::random;
 use crate::owner::Owner;
-use crate::photo::of_name;
+use crate::photo::of_names;
 use crate::string_enum::string_enum;
 use crate::{Library, Millis, millis};
 
 /// Prefix of a key.
 pub const KEY_PREFIX: &str = "tmpi_k_";
-/// Prefix of a session's cookie.
-pub const SESSION_PREFIX: &str = "tmpi_s_";
 /// Longest name of a key.
 const MAX_NAME: usize = 64;
 /// Hex digits of a key's id, from its hash.
@@ -66,14 +64,16 @@ impl Key {
     pub fn may(&self, scope: Scope) -> bool {
         self.scopes.contains(&scope) || self.scopes.contains(&Scope::Admin)
     }
+}
 
-    fn from_row(row: &AnyRow) -> Result<Self> {
-        let (hash, scopes, owner): (String, String, String) = (row.try_get("hash")?, row.try_get("scopes")?, row.try_get("owner")?);
+impl FromRow<'_, AnyRow> for Key {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
+        let hash: String = row.try_get("hash")?;
         Ok(Self {
             id: hash.get(..ID_DIGITS).unwrap_or_default().to_owned(),
             name: row.try_get("name")?,
-            owner: Owner::from_column(owner),
-            scopes: scopes.split(',').filter(|name| !name.is_empty()).map(of_name).collect::<Result<_>>()?,
+            owner: Owner::from_column(row.try_get("owner")?),
+            scopes: of_names(row.try_get("scopes")?)?,
             created_at: row.try_get("created_at")?,
             expires_at: row.try_get("expires_at")?,
             hash,
@@ -116,9 +116,9 @@ impl Library {
         tx.lock_owner(owner.as_str()).await?;
         let insert = "INSERT INTO keys (hash, name, owner, scopes, created_at, expires_at) VALUES ($1, $2, $3, $4, $5, $6) RETURNING *";
         let names: Vec<&str> = scopes.iter().map(|scope| scope.name()).collect();
-        let insert = sqlx::query(insert).bind(hash(&secret)).bind(name.to_owned()).bind(owner.as_str().to_owned()).bind(names.join(","));
+        let insert = sqlx::query_as(insert).bind(hash(&secret)).bind(name).bind(owner.as_str()).bind(names.join(","));
         let insert = insert.bind(tx.now).bind(lasts.map(|lasts| tx.now + millis(lasts)));
-        let key = Key::from_row(&insert.fetch_one(tx.connection()).await?)?;
+        let key = insert.fetch_one(tx.connection()).await?;
         tx.commit().await?;
         Ok(NewKey { key, secret })
     }
@@ -128,24 +128,23 @@ impl Library {
     /// # Errors
     /// [`LibraryError::Unavailable`]: the caller must refuse access.
     pub async fn find_key(&self, secret: &str) -> Result<Option<Key>> {
-        self.key_of_hash(hash(secret)).await
+        self.key_of_hash(&hash(secret)).await
     }
 
     /// Whether a key still exists and has not expired.
     pub async fn is_valid(&self, key: &Key) -> Result<bool> {
-        Ok(self.key_of_hash(key.hash.clone()).await?.is_some())
+        Ok(self.key_of_hash(&key.hash).await?.is_some())
     }
 
-    async fn key_of_hash(&self, hash: String) -> Result<Option<Key>> {
+    async fn key_of_hash(&self, hash: &str) -> Result<Option<Key>> {
         let now = self.now().await?;
-        let select = sqlx::query("SELECT * FROM keys WHERE hash = $1 AND (expires_at IS NULL OR expires_at > $2)").bind(hash).bind(now);
-        select.fetch_optional(self.database().reader()).await?.map(|row| Key::from_row(&row)).transpose()
+        let select = sqlx::query_as("SELECT * FROM keys WHERE hash = $1 AND (expires_at IS NULL OR expires_at > $2)");
+        Ok(select.bind(hash).bind(now).fetch_optional(self.database().reader()).await?)
     }
 
     /// All keys, by name and age.
     pub async fn keys(&self) -> Result<Vec<Key>> {
-        let rows = sqlx::query("SELECT * FROM keys ORDER BY name, created_at").fetch_all(self.database().reader()).await?;
-        rows.iter().map(Key::from_row).collect()
+        Ok(sqlx::query_as("SELECT * FROM keys ORDER BY name, created_at").fetch_all(self.database().reader()).await?)
     }
 
     /// Removes all keys of a name, or the one with an id; returns the number of keys.
@@ -155,32 +154,12 @@ impl Library {
     pub async fn remove_keys(&self, name: &str, id: Option<&str>) -> Result<u64> {
         let mut tx = self.database().write().await?;
         let delete = sqlx::query("DELETE FROM keys WHERE name = $1 AND ($2 = '' OR SUBSTR(hash, 1, 8) = $2)");
-        let removed = delete.bind(name.to_owned()).bind(id.unwrap_or_default().to_owned()).execute(tx.connection()).await?.rows_affected();
+        let removed = delete.bind(name).bind(id.unwrap_or_default()).execute(tx.connection()).await?.rows_affected();
         if removed == 0 {
             return Err(LibraryError::NotFound("key"));
         }
         tx.notify(Event::Revoked);
         tx.commit().await?;
         Ok(removed)
-    }
-
-    /// Opens an owner's session; returns the secret for its cookie, which is not stored.
-    pub async fn open_session(&self, owner: &Owner, lasts: Duration) -> Result<String> {
-        let secret = format!("{SESSION_PREFIX}{}", hex(&random::<32>()?));
-        let mut tx = self.database().write().await?;
-        tx.lock_owner(owner.as_str()).await?;
-        let insert = "INSERT INTO sessions (hash, owner, created_at, expires_at) VALUES ($1, $2, $3, $4)";
-        let insert = sqlx::query(insert).bind(hash(&secret)).bind(owner.as_str().to_owned());
-        insert.bind(tx.now).bind(tx.now + millis(lasts)).execute(tx.connection()).await?;
-        tx.commit().await?;
-        Ok(secret)
-    }
-
-    /// The owner of an unexpired session.
-    pub async fn session_owner(&self, secret: &str) -> Result<Option<Owner>> {
-        let now = self.now().await?;
-        let select = sqlx::query("SELECT owner FROM sessions WHERE hash = $1 AND expires_at > $2").bind(hash(secret)).bind(now);
-        let row = select.fetch_optional(self.database().reader()).await?;
-        Ok(row.map(|row| row.try_get("owner")).transpose()?.map(Owner::from_column))
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use sqlx::any::{AnyPoolOptions, AnyQueryResult, install_default_drivers};
-use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor as _, Row as _, Transaction};
+use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor as _, Transaction};
 
 use crate::Millis;
 use crate::change_notifications::{CHANNEL, Event, Events};
@@ -34,7 +34,7 @@ pub(crate) enum Lock {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum JobKind {
+enum Kind {
     Sqlite,
     Postgres,
 }
@@ -42,7 +42,7 @@ enum JobKind {
 /// Connections to the database.
 #[derive(Clone, Debug)]
 pub(crate) struct Database {
-    kind: JobKind,
+    kind: Kind,
     writer: AnyPool,
     reader: AnyPool,
     events: Events,
@@ -87,7 +87,7 @@ impl Database {
     pub async fn sqlite(path: &Path) -> Result<Self> {
         install_default_drivers();
         let (writer, reader) = sqlite(path).await?;
-        Self::ready(JobKind::Sqlite, writer, reader, Events::open(None).await?).await
+        Self::ready(Kind::Sqlite, writer, reader, Events::open(None).await?).await
     }
 
     /// Opens PostgreSQL at `url`.
@@ -102,10 +102,10 @@ impl Database {
             })
         });
         let pool = options.connect(url).await?;
-        Self::ready(JobKind::Postgres, pool.clone(), pool, Events::open(Some(url)).await?).await
+        Self::ready(Kind::Postgres, pool.clone(), pool, Events::open(Some(url)).await?).await
     }
 
-    async fn ready(kind: JobKind, writer: AnyPool, reader: AnyPool, events: Events) -> Result<Self> {
+    async fn ready(kind: Kind, writer: AnyPool, reader: AnyPool, events: Events) -> Result<Self> {
         let database = Self {
             kind,
             writer,
@@ -120,14 +120,14 @@ impl Database {
 
     /// Migrates the schema, one node at a time.
     async fn migrate(&self) -> Result<()> {
-        let begin = if self.kind == JobKind::Sqlite { "BEGIN EXCLUSIVE" } else { "BEGIN" };
+        let begin = if self.kind == Kind::Sqlite { "BEGIN EXCLUSIVE" } else { "BEGIN" };
         let mut transaction = self.writer.begin_with(begin).await?;
-        if self.kind == JobKind::Postgres {
+        if self.kind == Kind::Postgres {
             sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(Lock::Migrations as i64).execute(&mut *transaction).await?;
         }
         transaction.execute(sqlx::raw_sql("CREATE TABLE IF NOT EXISTS migrations (version BIGINT PRIMARY KEY)")).await?;
-        let row = sqlx::query("SELECT COALESCE(MAX(version), 0) AS version FROM migrations").fetch_one(&mut *transaction).await?;
-        let version = row.try_get::<i64, _>("version")? as usize;
+        let latest = sqlx::query_scalar("SELECT COALESCE(MAX(version), 0) FROM migrations");
+        let version = latest.fetch_one(&mut *transaction).await.map(|version: i64| version as usize)?;
         if version > MIGRATIONS.len() {
             let known = MIGRATIONS.len();
             return Err(LibraryError::Invalid(format!("the database has schema {version}, but this program supports only up to {known}")));
@@ -150,13 +150,13 @@ impl Database {
 
     /// The database's time.
     pub async fn now(&self) -> Result<Millis> {
-        Ok(self.skewed(sqlx::query(self.clock()).fetch_one(&self.reader).await?.try_get("now")?))
+        Ok(self.skewed(sqlx::query_scalar(self.clock()).fetch_one(&self.reader).await?))
     }
 
     const fn clock(&self) -> &'static str {
         match self.kind {
-            JobKind::Sqlite => "SELECT CAST(unixepoch('subsec') * 1000 AS INTEGER) AS now",
-            JobKind::Postgres => "SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT) AS now",
+            Kind::Sqlite => "SELECT CAST(unixepoch('subsec') * 1000 AS INTEGER)",
+            Kind::Postgres => "SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT)",
         }
     }
 
@@ -173,15 +173,15 @@ impl Database {
 
     /// Begins a writing transaction, which is rolled back if dropped.
     pub async fn write(&self) -> Result<Tx> {
-        let begin = if self.kind == JobKind::Sqlite { "BEGIN IMMEDIATE" } else { "BEGIN" };
+        let begin = if self.kind == Kind::Sqlite { "BEGIN IMMEDIATE" } else { "BEGIN" };
         let mut inner = self.writer.begin_with(begin).await?;
-        let now = sqlx::query(self.clock()).fetch_one(&mut *inner).await?.try_get("now")?;
+        let now = sqlx::query_scalar(self.clock()).fetch_one(&mut *inner).await?;
         Ok(Tx { inner, now: self.skewed(now), database: self.clone(), events: Vec::new() })
     }
 
     /// Sends an event without a transaction.
     pub async fn notify(&self, event: Event) -> Result<()> {
-        if self.kind == JobKind::Postgres {
+        if self.kind == Kind::Postgres {
             sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(Events::payload(&event)?).execute(&self.writer).await?;
         }
         self.events.committed(vec![event]);
@@ -213,7 +213,7 @@ impl Tx {
 
     /// Whether the database supports and needs `FOR UPDATE SKIP LOCKED`.
     pub fn has_row_locks(&self) -> bool {
-        self.database.kind == JobKind::Postgres
+        self.database.kind == Kind::Postgres
     }
 
     /// Holds a lock until the transaction ends; does nothing in SQLite, which has a single writer.
@@ -235,9 +235,8 @@ impl Tx {
 
     /// Inserts the row of an owner if it is missing, and locks it.
     pub async fn lock_owner(&mut self, owner: &str) -> Result<()> {
-        let (text, now) = (owner.to_owned(), self.now);
         let insert = sqlx::query("INSERT INTO owners (owner, created_at) VALUES ($1, $2) ON CONFLICT (owner) DO NOTHING");
-        insert.bind(text).bind(now).execute(self.connection()).await?;
+        insert.bind(owner).bind(self.now).execute(self.connection()).await?;
         if self.has_row_locks() {
             sqlx::query("SELECT owner FROM owners WHERE owner = $1 FOR UPDATE").bind(owner).fetch_optional(self.connection()).await?;
         }

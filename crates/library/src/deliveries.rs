@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use sqlx::Row as _;
 use sqlx::any::AnyRow;
+use sqlx::{FromRow, Row as _};
 
 use crate::change_notifications::Event;
 use crate::database::{Lock, Tx, is_held};
@@ -21,7 +21,7 @@ use crate::owner::Owner;
 use crate::photo::{Photo, Problem, json, parsed, to_json};
 use crate::queue::{Job, JobKind};
 use crate::string_enum::string_enum;
-use crate::webhooks::{EventType, Webhook, disable};
+use crate::webhooks::{EventType, Webhook, disable, read_webhook};
 use crate::{Library, Millis, millis};
 
 /// Longest attempt: after that another one begins.
@@ -128,8 +128,8 @@ pub struct Delivery {
     pub ended_at: Option<Millis>,
 }
 
-impl Delivery {
-    fn from_row(row: &AnyRow) -> Result<Self> {
+impl FromRow<'_, AnyRow> for Delivery {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         Ok(Self {
             id: row.try_get("id")?,
             event: parsed(row, "event")?,
@@ -190,11 +190,12 @@ pub struct Attempt {
 
 /// Inserts the deliveries of an event: to webhooks for all photos, and to those of `owner`.
 pub(crate) async fn announce(tx: &mut Tx, event: EventType, owner: Option<&Owner>, data: &EventData) -> Result<()> {
-    let select = sqlx::query("SELECT id, events FROM webhooks WHERE disabled_at IS NULL AND (owner IS NULL OR owner = $1) ORDER BY id");
-    for row in select.bind(owner.map(|owner| owner.as_str().to_owned())).fetch_all(tx.connection()).await? {
+    let select = sqlx::query_as("SELECT id, events FROM webhooks WHERE disabled_at IS NULL AND (owner IS NULL OR owner = $1) ORDER BY id");
+    let webhooks: Vec<(String, String)> = select.bind(owner.map(Owner::as_str)).fetch_all(tx.connection()).await?;
+    for (id, events) in webhooks {
         // an event of a newer version must not fail this one
-        if row.try_get::<String, _>("events")?.split(',').any(|name| name == event.name()) {
-            insert(tx, &row.try_get::<String, _>("id")?, event, data).await?;
+        if events.split(',').any(|name| name == event.name()) {
+            insert(tx, &id, event, data).await?;
         }
     }
     Ok(())
@@ -206,7 +207,7 @@ async fn insert(tx: &mut Tx, webhook: &str, event: EventType, data: &EventData) 
     let id = format!("msg_{:012x}{:08x}{}", tx.now.max(0), NEXT.fetch_add(1, Ordering::Relaxed), hex(&random::<6>()?));
     let insert = "INSERT INTO deliveries (id, webhook, event, data, created_at, run_after, attempts, state)
         VALUES ($1, $2, $3, $4, $5, $5, 0, 'pending')";
-    let insert = sqlx::query(insert).bind(id.clone()).bind(webhook.to_owned()).bind(event.name()).bind(to_json(data)?).bind(tx.now);
+    let insert = sqlx::query(insert).bind(&id).bind(webhook).bind(event.name()).bind(to_json(data)?).bind(tx.now);
     insert.execute(tx.connection()).await?;
     tx.notify(Event::Delivery);
     Ok(id)
@@ -241,9 +242,8 @@ impl Library {
     /// [`LibraryError::Invalid`] if the webhook is disabled, [`LibraryError::NotFound`].
     pub async fn ping(&self, webhook: &str) -> Result<String> {
         let mut tx = self.database().write().await?;
-        let select = sqlx::query("SELECT * FROM webhooks WHERE id = $1").bind(webhook.to_owned());
-        let row = select.fetch_optional(tx.connection()).await?.ok_or(LibraryError::NotFound("webhook"))?;
-        if Webhook::from_row(&row)?.disabled.is_some() {
+        let found = read_webhook(tx.connection(), webhook).await?.ok_or(LibraryError::NotFound("webhook"))?;
+        if found.disabled.is_some() {
             return Err(LibraryError::Invalid("the webhook is disabled".into()));
         }
         let id = insert(&mut tx, webhook, EventType::Ping, &EventData::default()).await?;
@@ -273,8 +273,8 @@ impl Library {
     /// Time until the next attempt is due; `None` if none is pending.
     pub async fn next_delivery_in(&self) -> Result<Option<Duration>> {
         let now = self.database().now().await?;
-        let select = "SELECT MIN(run_after) AS due FROM deliveries WHERE state = 'pending'";
-        let due: Option<Millis> = sqlx::query(select).fetch_one(self.database().reader()).await?.try_get("due")?;
+        let select = sqlx::query_scalar("SELECT MIN(run_after) FROM deliveries WHERE state = 'pending'");
+        let due: Option<Millis> = select.fetch_one(self.database().reader()).await?;
         Ok(due.map(|due| Duration::from_millis(due.saturating_sub(now).max(0) as u64)))
     }
 
@@ -297,9 +297,9 @@ impl Library {
         let update =
             "UPDATE deliveries SET state = $1, run_after = COALESCE($2, run_after), status = $3, error = $4, took_ms = $5, ended_at = $6,
             lease_until = NULL WHERE id = $7 AND attempts = $8 AND state = 'pending'";
-        let update = sqlx::query(update).bind(state.name()).bind(after).bind(attempt.status.map(i64::from)).bind(attempt.error.clone());
+        let update = sqlx::query(update).bind(state.name()).bind(after).bind(attempt.status.map(i64::from)).bind(&attempt.error);
         let update = update.bind(millis(attempt.took)).bind(Some(tx.now).filter(|_| state != DeliveryState::Pending));
-        is_held(&update.bind(delivery.id.clone()).bind(delivery.attempts).execute(tx.connection()).await?)?;
+        is_held(&update.bind(&delivery.id).bind(delivery.attempts).execute(tx.connection()).await?)?;
         note(&mut tx, webhook, attempt.verdict, state).await?;
         tx.commit().await?;
         Ok(state)
@@ -307,11 +307,12 @@ impl Library {
 
     /// At most `limit` deliveries of a webhook before `after`, newest first.
     pub async fn deliveries(&self, webhook: &str, after: Option<&str>, limit: usize) -> Result<DeliveryPage> {
-        let select = sqlx::query("SELECT * FROM deliveries WHERE webhook = $1 AND ($2 = '' OR id < $2) ORDER BY id DESC LIMIT $3");
-        let select = select.bind(webhook.to_owned()).bind(after.unwrap_or_default().to_owned()).bind(limit as i64 + 1);
-        let rows = select.fetch_all(self.database().reader()).await?;
-        let deliveries: Vec<Delivery> = rows.iter().take(limit).map(Delivery::from_row).collect::<Result<_>>()?;
-        let next = deliveries.last().filter(|_| rows.len() > limit).map(|delivery| delivery.id.clone());
+        let select = sqlx::query_as("SELECT * FROM deliveries WHERE webhook = $1 AND ($2 = '' OR id < $2) ORDER BY id DESC LIMIT $3");
+        let select = select.bind(webhook).bind(after.unwrap_or_default()).bind(limit as i64 + 1);
+        let mut deliveries: Vec<Delivery> = select.fetch_all(self.database().reader()).await?;
+        let has_more = deliveries.len() > limit;
+        deliveries.truncate(limit);
+        let next = deliveries.last().filter(|_| has_more).map(|delivery| delivery.id.clone());
         Ok(DeliveryPage { deliveries, next })
     }
 }
@@ -325,9 +326,8 @@ async fn take(tx: &mut Tx) -> Result<Option<DueDelivery>> {
         ) AND state = 'pending' RETURNING *";
     let update = sqlx::query(update).bind(tx.now + millis(LEASE)).bind(tx.now).bind(AT_ONCE);
     let Some(row) = update.fetch_optional(tx.connection()).await? else { return Ok(None) };
-    let select = sqlx::query("SELECT * FROM webhooks WHERE id = $1").bind(row.try_get::<String, _>("webhook")?);
-    let Some(webhook) = select.fetch_optional(tx.connection()).await? else { return Ok(None) };
-    Ok(Some(DueDelivery { delivery: Delivery::from_row(&row)?, webhook: Webhook::from_row(&webhook)? }))
+    let Some(webhook) = read_webhook(tx.connection(), row.try_get("webhook")?).await? else { return Ok(None) };
+    Ok(Some(DueDelivery { delivery: Delivery::from_row(&row)?, webhook }))
 }
 
 /// Records at a webhook how an attempt ended.
@@ -335,14 +335,13 @@ async fn note(tx: &mut Tx, webhook: &str, verdict: Verdict, state: DeliveryState
     match verdict {
         Verdict::Delivered => {
             let update = sqlx::query("UPDATE webhooks SET failing_since = NULL WHERE id = $1 AND failing_since IS NOT NULL");
-            update.bind(webhook.to_owned()).execute(tx.connection()).await?;
+            update.bind(webhook).execute(tx.connection()).await?;
         }
         Verdict::Gone => disable(tx, webhook, "it answers 410 Gone").await?,
         Verdict::Refused(_) => {
-            let update =
-                sqlx::query("UPDATE webhooks SET failing_since = COALESCE(failing_since, $1) WHERE id = $2 RETURNING failing_since");
-            let row = update.bind(tx.now).bind(webhook.to_owned()).fetch_optional(tx.connection()).await?;
-            let since = row.map(|row| row.try_get::<Millis, _>("failing_since")).transpose()?;
+            let update = "UPDATE webhooks SET failing_since = COALESCE(failing_since, $1) WHERE id = $2 RETURNING failing_since";
+            let update = sqlx::query_scalar(update).bind(tx.now).bind(webhook);
+            let since: Option<Millis> = update.fetch_optional(tx.connection()).await?;
             if state == DeliveryState::Failed && since.is_some_and(|since| tx.now - since >= millis(PATIENCE)) {
                 disable(tx, webhook, "its deliveries have failed for five days").await?;
             }

@@ -113,10 +113,6 @@ impl LibraryError {
             _ => Self::Unavailable { service: Service::Blobs, reason: error.to_string() },
         }
     }
-
-    pub(crate) fn stored(what: &str, error: impl std::fmt::Display) -> Self {
-        Self::Internal(format!("{what}: {error}"))
-    }
 }
 
 impl From<sqlx::Error> for LibraryError {

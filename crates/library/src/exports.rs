@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use serde_json::Value;
-use sqlx::{AssertSqlSafe, Row as _};
+use sqlx::AssertSqlSafe;
 
 use crate::blobs::{Content, Contents};
 use crate::change_notifications::Event;
@@ -12,7 +12,7 @@ use crate::deliveries::{EventData, announce};
 use crate::error::{LibraryError, Result};
 use crate::ids::PhotoId;
 use crate::leases::Lease;
-use crate::photo::{Blob, Class, Part, Photo, PhotoState, file_names, to_json};
+use crate::photo::{Blobs, Class, Part, Photo, PhotoState, file_names, to_json};
 use crate::photos::locked_photo;
 use crate::queue::{COLUMNS, Job, JobKind, JobState, NewJob, Requester, id_of, record_duration};
 use crate::webhooks::EventType;
@@ -100,26 +100,22 @@ impl Library {
         if bytes > most {
             return Err(LibraryError::Invalid(format!("the file has {bytes} bytes; the limit of all exports is {most}")));
         }
-        let stored = self.blobs().store(lease.job.photo, Contents::from([(Part::Export, file)])).await?;
-        let Some(blob) = stored.into_values().next() else { return Err(LibraryError::NotFound("blob")) };
-        match self.keep_export(lease, &blob).await {
-            Ok((job, gone)) => {
-                self.blobs().discard(gone).await;
-                Ok(job)
-            }
-            Err(error) => Err(self.blobs().discard_refused(vec![blob.name], error).await),
-        }
+        let contents = Contents::from([(Part::Export, file)]);
+        let (job, gone) = self.blobs().store_for(lease.job.photo, contents, |blobs| self.keep_export(lease, blobs)).await?;
+        self.blobs().discard(gone).await;
+        Ok(job)
     }
 
-    async fn keep_export(&self, lease: &Lease, blob: &Blob) -> Result<(Job, Vec<String>)> {
+    async fn keep_export(&self, lease: &Lease, blobs: Blobs) -> Result<(Job, Vec<String>)> {
+        let blob = blobs.get(&Part::Export).ok_or(LibraryError::NotFound("blob"))?;
         let mut tx = self.database().write().await?;
         let update = format!(
             "UPDATE jobs SET state = 'done', lease_token = NULL, lease_until = NULL, owner = NULL, address = NULL, problem = NULL, result = $1,
              bytes = $2, used_at = $3 WHERE id = $4 AND lease_token = $5 RETURNING {COLUMNS}"
         );
-        let update = sqlx::query(AssertSqlSafe(update)).bind(to_json(blob)?).bind(blob.bytes as i64).bind(tx.now);
-        let row = update.bind(lease.job.id.clone()).bind(lease.token()).fetch_optional(tx.connection()).await?;
-        let job = Job::from_row(&row.ok_or(LibraryError::LeaseLost)?)?;
+        let update = sqlx::query_as(AssertSqlSafe(update)).bind(to_json(blob)?).bind(blob.bytes as i64).bind(tx.now);
+        let updated: Option<Job> = update.bind(&lease.job.id).bind(lease.token()).fetch_optional(tx.connection()).await?;
+        let job = updated.ok_or(LibraryError::LeaseLost)?;
         let gone = self.trim(&mut tx, &job.id).await?;
         record_duration(&mut tx, job.kind, lease.age()).await?;
         let data = EventData::of_export(&job, &lease.photo, None);
@@ -132,14 +128,14 @@ impl Library {
     /// Removes the least recently fetched exports until the rest, including `id`, fits.
     async fn trim(&self, tx: &mut Tx, id: &str) -> Result<Vec<String>> {
         let most = self.limits().exports_bytes;
-        let select =
-            sqlx::query("SELECT id, bytes FROM jobs WHERE state = 'done' ORDER BY CASE WHEN id = $1 THEN 0 ELSE 1 END, used_at DESC, id");
+        let select = "SELECT id, bytes FROM jobs WHERE state = 'done' ORDER BY CASE WHEN id = $1 THEN 0 ELSE 1 END, used_at DESC, id";
+        let exports: Vec<(String, i64)> = sqlx::query_as(select).bind(id).fetch_all(tx.connection()).await?;
         let (mut all, mut gone) = (0_u64, Vec::new());
-        for row in select.bind(id.to_owned()).fetch_all(tx.connection()).await? {
-            all += (row.try_get::<i64, _>("bytes")? as u64).max(most / MAX_EXPORTS);
+        for (id, bytes) in exports {
+            all += (bytes as u64).max(most / MAX_EXPORTS);
             if all > most {
                 let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND state = 'done' RETURNING result");
-                let deleted = delete.bind(row.try_get::<String, _>("id")?).fetch_all(tx.connection()).await?;
+                let deleted = delete.bind(id).fetch_all(tx.connection()).await?;
                 gone.extend(file_names(&deleted)?);
             }
         }
@@ -149,7 +145,7 @@ impl Library {
     /// Records that an export was fetched, which extends its life. A second fetch within a minute writes nothing.
     pub async fn note_export_fetch(&self, job: &Job) -> Result<()> {
         let mut tx = self.database().write().await?;
-        let update = sqlx::query("UPDATE jobs SET used_at = $1 WHERE id = $2 AND used_at <= $3").bind(tx.now).bind(job.id.clone());
+        let update = sqlx::query("UPDATE jobs SET used_at = $1 WHERE id = $2 AND used_at <= $3").bind(tx.now).bind(&job.id);
         update.bind(tx.now - millis(FETCHED)).execute(tx.connection()).await?;
         tx.commit().await
     }

@@ -62,13 +62,11 @@ impl Library {
         // sorts after all hex digits
         let end = format!("{prefix}g");
         let mut names = HashSet::new();
-        let photos = sqlx::query("SELECT blobs FROM photos WHERE id >= $1 AND id < $2").bind(prefix.to_owned()).bind(end.clone());
+        let photos = sqlx::query("SELECT blobs FROM photos WHERE id >= $1 AND id < $2").bind(prefix).bind(&end);
         for row in photos.fetch_all(self.database().reader()).await? {
             names.extend(json::<Blobs>(&row, "blobs")?.into_values().map(|blob| blob.name));
         }
-        let jobs = sqlx::query("SELECT result FROM jobs WHERE photo >= $1 AND photo < $2 AND result IS NOT NULL")
-            .bind(prefix.to_owned())
-            .bind(end);
+        let jobs = sqlx::query("SELECT result FROM jobs WHERE photo >= $1 AND photo < $2 AND result IS NOT NULL").bind(prefix).bind(&end);
         names.extend(file_names(&jobs.fetch_all(self.database().reader()).await?)?);
         Ok(names)
     }

@@ -44,8 +44,7 @@ impl FromStr for PhotoId {
     type Err = LibraryError;
 
     fn from_str(text: &str) -> crate::Result<Self> {
-        let id = if text.bytes().any(|b| b.is_ascii_uppercase()) { None } else { unhex(text).map(Self) };
-        id.ok_or_else(|| LibraryError::Invalid("a photo id has 32 lower-case hex digits".into()))
+        unhex(text).map(Self).ok_or_else(|| LibraryError::Invalid("a photo id has 32 lower-case hex digits".into()))
     }
 }
 

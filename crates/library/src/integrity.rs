@@ -44,8 +44,8 @@ impl Library {
                 (SELECT id FROM photos WHERE state = 'done' AND checked_at <= $2 ORDER BY checked_at LIMIT 1 {lock})
              RETURNING {COLUMNS}"
         );
-        let claim = sqlx::query(AssertSqlSafe(claim)).bind(tx.now).bind(tx.now - millis(period));
-        let photo = claim.fetch_optional(tx.connection()).await?.map(|row| Photo::from_row(&row)).transpose()?;
+        let claim = sqlx::query_as(AssertSqlSafe(claim)).bind(tx.now).bind(tx.now - millis(period));
+        let photo: Option<Photo> = claim.fetch_optional(tx.connection()).await?;
         tx.commit().await?;
         if let Some(photo) = &photo {
             let found = self.verify(photo).await?;

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use sqlx::{AssertSqlSafe, Row as _};
+use sqlx::{AssertSqlSafe, FromRow as _, Row as _};
 
 use crate::change_notifications::Event;
 use crate::completion::{MAX_BACK_OFF, Retry, set_state};
@@ -80,8 +80,8 @@ impl Library {
         let update = format!(
             "UPDATE jobs SET state = 'working', lease_token = $1, lease_until = $2, problem = NULL WHERE id = $3 RETURNING {COLUMNS}"
         );
-        let update = sqlx::query(AssertSqlSafe(update)).bind(token.clone()).bind(tx.now + millis(lasts)).bind(id);
-        let job = Job::from_row(&update.fetch_one(tx.connection()).await?)?;
+        let update = sqlx::query_as(AssertSqlSafe(update)).bind(&token).bind(tx.now + millis(lasts)).bind(id);
+        let job: Job = update.fetch_one(tx.connection()).await?;
         if job.kind == JobKind::Make {
             set_state(&mut tx, &job, PhotoState::Working).await?;
         }
@@ -180,12 +180,11 @@ impl Library {
             "SELECT id FROM jobs WHERE state = 'queued' AND kind IN ($1, $2, $3) AND (run_after <= $4 OR run_after > $5)
              ORDER BY {order}, turn, created_at, id LIMIT 1 {lock}"
         );
-        let mut select = sqlx::query(AssertSqlSafe(select));
+        let mut select = sqlx::query_scalar(AssertSqlSafe(select));
         for n in 0..JobKind::ALL.len() {
             select = select.bind(kinds.get(n).unwrap_or(first).name());
         }
-        let row = select.bind(tx.now).bind(tx.now + millis(MAX_BACK_OFF)).fetch_optional(tx.connection()).await?;
-        Ok(row.map(|row| row.try_get("id")).transpose()?)
+        Ok(select.bind(tx.now).bind(tx.now + millis(MAX_BACK_OFF)).fetch_optional(tx.connection()).await?)
     }
 
     /// Renews a lease, and stores the worker's progress.
@@ -197,7 +196,7 @@ impl Library {
         let progress = progress.map(to_json).transpose()?;
         let update = "UPDATE jobs SET lease_until = $1, progress = COALESCE($2, progress) WHERE id = $3 AND lease_token = $4";
         let update = sqlx::query(update).bind(tx.now + millis(lease.lasts)).bind(progress);
-        is_held(&update.bind(lease.job.id.clone()).bind(lease.token.clone()).execute(tx.connection()).await?)?;
+        is_held(&update.bind(&lease.job.id).bind(&lease.token).execute(tx.connection()).await?)?;
         tx.commit().await
     }
 
@@ -215,8 +214,8 @@ impl Lease {
     }
 
     /// The token, which an `UPDATE` of the job's row must match.
-    pub(crate) fn token(&self) -> String {
-        self.token.clone()
+    pub(crate) fn token(&self) -> &str {
+        &self.token
     }
 
     /// How long the job has run, by this process's clock.

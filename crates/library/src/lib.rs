@@ -51,7 +51,7 @@ pub use accept::{Accepted, Outcome, Upload};
 pub use blobs::{BlobStore, Content, Contents, DiskSpace, Reserve};
 pub use change_notifications::{Event, Subscription};
 pub use completion::{PhotoResults, Retry};
-pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope};
+pub use credentials::{KEY_PREFIX, Key, NewKey, Scope};
 pub use deliveries::{Attempt, Delivery, DeliveryPage, DeliveryState, DueDelivery, EventData, ExportData, RETRIES, Verdict};
 pub use digest::{Digest, hex};
 pub use error::{LibraryError, QueueLimit, Quota, Result, Service};

@@ -7,8 +7,8 @@ use serde::de::value;
 use serde::de::{DeserializeOwned, IntoDeserializer as _};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use sqlx::Row as _;
 use sqlx::any::AnyRow;
+use sqlx::{FromRow, Row as _};
 
 use crate::Millis;
 use crate::digest::Digest;
@@ -186,8 +186,10 @@ impl Photo {
     pub fn title(&self) -> Option<&str> {
         self.settings.get("title").and_then(Value::as_str)
     }
+}
 
-    pub(crate) fn from_row(row: &AnyRow) -> Result<Self> {
+impl FromRow<'_, AnyRow> for Photo {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         Ok(Self {
             id: parsed(row, "id")?,
             owner: row.try_get::<Option<_>, _>("owner")?.map(Owner::from_column),
@@ -217,7 +219,7 @@ pub(crate) fn blob_names(blobs: &Blobs) -> Vec<String> {
 
 /// Names of the blobs of deleted jobs.
 pub(crate) fn file_names(deleted: &[AnyRow]) -> Result<Vec<String>> {
-    let files: Result<Vec<Option<Blob>>> = deleted.iter().map(|row| optional_json(row, "result")).collect();
+    let files: sqlx::Result<Vec<Option<Blob>>> = deleted.iter().map(|row| optional_json(row, "result")).collect();
     Ok(files?.into_iter().flatten().map(|blob| blob.name).collect())
 }
 
@@ -225,34 +227,38 @@ pub(crate) fn bytes_of(blobs: &Blobs) -> i64 {
     blobs.values().map(|blob| blob.bytes).sum::<u64>() as i64
 }
 
-pub(crate) fn class_of(row: &AnyRow) -> Result<Class> {
+pub(crate) fn class_of(row: &AnyRow) -> sqlx::Result<Class> {
     match row.try_get("class")? {
         0_i64 => Ok(Class::Interactive),
         1 => Ok(Class::Batch),
-        rank => Err(LibraryError::stored("class", rank)),
+        rank => Err(sqlx::Error::Decode(format!("class: {rank}").into())),
     }
 }
 
+/// The values that a text names, separated by commas.
+pub(crate) fn of_names<T: DeserializeOwned>(names: &str) -> sqlx::Result<Vec<T>> {
+    names.split(',').filter(|name| !name.is_empty()).map(of_name).collect()
+}
+
 /// The value that a text names: a variant of an enum, an id.
-pub(crate) fn of_name<T: DeserializeOwned>(name: &str) -> Result<T> {
-    T::deserialize(name.into_deserializer()).map_err(|e: value::Error| LibraryError::Internal(e.to_string()))
+fn of_name<T: DeserializeOwned>(name: &str) -> sqlx::Result<T> {
+    T::deserialize(name.into_deserializer()).map_err(|e: value::Error| sqlx::Error::Decode(e.into()))
 }
 
 /// The value that a column names.
-pub(crate) fn parsed<T: DeserializeOwned>(row: &AnyRow, column: &str) -> Result<T> {
-    of_name(&row.try_get::<String, _>(column)?)
+pub(crate) fn parsed<T: DeserializeOwned>(row: &AnyRow, column: &str) -> sqlx::Result<T> {
+    of_name(row.try_get(column)?)
 }
 
 /// A JSON column.
-pub(crate) fn json<T: DeserializeOwned>(row: &AnyRow, column: &str) -> Result<T> {
-    let text: String = row.try_get(column)?;
-    serde_json::from_str(&text).map_err(|e| LibraryError::stored(column, e))
+pub(crate) fn json<T: DeserializeOwned>(row: &AnyRow, column: &str) -> sqlx::Result<T> {
+    optional_json(row, column)?.ok_or_else(|| sqlx::Error::Decode(format!("{column}: it is null").into()))
 }
 
 /// A JSON column that may be null.
-pub(crate) fn optional_json<T: DeserializeOwned>(row: &AnyRow, column: &str) -> Result<Option<T>> {
-    let text: Option<String> = row.try_get(column)?;
-    text.map(|text| serde_json::from_str(&text).map_err(|e| LibraryError::stored(column, e))).transpose()
+pub(crate) fn optional_json<T: DeserializeOwned>(row: &AnyRow, column: &str) -> sqlx::Result<Option<T>> {
+    let text: Option<&str> = row.try_get(column)?;
+    text.map(|text| serde_json::from_str(text).map_err(|e| sqlx::Error::Decode(format!("{column}: {e}").into()))).transpose()
 }
 
 /// The text of a JSON column.

@@ -62,8 +62,8 @@ pub struct Page {
 
 impl Library {
     pub(crate) async fn read_photo<'c>(&self, on: impl Executor<'c, Database = Any>, id: PhotoId) -> Result<Option<Photo>> {
-        let select = sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM photos WHERE id = $1"))).bind(id.to_string());
-        select.fetch_optional(on).await?.map(|row| Photo::from_row(&row)).transpose()
+        let select = sqlx::query_as(AssertSqlSafe(format!("SELECT {COLUMNS} FROM photos WHERE id = $1"))).bind(id.to_string());
+        Ok(select.fetch_optional(on).await?)
     }
 
     /// A photo, if it exists.
@@ -85,13 +85,14 @@ impl Library {
         let select =
             format!("SELECT {COLUMNS} FROM photos WHERE (listed_at, id) < ($1, $2) {of_owner} ORDER BY listed_at DESC, id DESC LIMIT $3");
         let (at, id) = after.map_or((Millis::MAX, String::new()), |after| (after.listed_at, after.id.to_string()));
-        let mut select = sqlx::query(AssertSqlSafe(select)).bind(at).bind(id).bind(limit as i64 + 1);
+        let mut select = sqlx::query_as(AssertSqlSafe(select)).bind(at).bind(id).bind(limit as i64 + 1);
         if let Some(owner) = owner {
-            select = select.bind(owner.as_str().to_owned());
+            select = select.bind(owner.as_str());
         }
-        let rows = select.fetch_all(self.database().reader()).await?;
-        let photos: Vec<Photo> = rows.iter().take(limit).map(Photo::from_row).collect::<Result<_>>()?;
-        let next = photos.last().filter(|_| rows.len() > limit).map(Cursor::from);
+        let mut photos: Vec<Photo> = select.fetch_all(self.database().reader()).await?;
+        let has_more = photos.len() > limit;
+        photos.truncate(limit);
+        let next = photos.last().filter(|_| has_more).map(Cursor::from);
         Ok(Page { photos, next })
     }
 
@@ -198,6 +199,6 @@ impl Library {
 pub(crate) async fn locked_photo(tx: &mut Tx, id: PhotoId) -> Result<Photo> {
     let lock = if tx.has_row_locks() { "FOR UPDATE" } else { "" };
     let select = format!("SELECT {COLUMNS} FROM photos WHERE id = $1 {lock}");
-    let row = sqlx::query(AssertSqlSafe(select)).bind(id.to_string()).fetch_optional(tx.connection()).await?;
-    Photo::from_row(&row.ok_or(LibraryError::NotFound("photo"))?)
+    let photo = sqlx::query_as(AssertSqlSafe(select)).bind(id.to_string()).fetch_optional(tx.connection()).await?;
+    photo.ok_or(LibraryError::NotFound("photo"))
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use sqlx::any::AnyRow;
-use sqlx::{AssertSqlSafe, Row as _};
+use sqlx::{AssertSqlSafe, FromRow, Row as _};
 
 use crate::database::{Lock, Tx};
 use crate::error::{LibraryError, QueueLimit, Result};
@@ -124,8 +124,10 @@ impl Job {
     pub fn key(&self) -> Option<&str> {
         self.id.splitn(3, '/').nth(2)
     }
+}
 
-    pub(crate) fn from_row(row: &AnyRow) -> Result<Self> {
+impl FromRow<'_, AnyRow> for Job {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         Ok(Self {
             id: row.try_get("id")?,
             kind: parsed(row, "kind")?,
@@ -171,36 +173,35 @@ impl Library {
         self.check_places(tx, job).await?;
         let id = id_of(job.kind, job.photo, job.key);
         let ended = "DELETE FROM jobs WHERE id = $1 AND state IN ('done', 'failed')";
-        sqlx::query(ended).bind(id.clone()).execute(tx.connection()).await?;
-        let (owner, address) = (job.requester.owner.as_ref().map(|o| o.as_str().to_owned()), job.requester.network());
-        let turn = turn(tx, job.class, owner.as_deref().or(address.as_deref()).unwrap_or_default()).await?;
+        sqlx::query(ended).bind(&id).execute(tx.connection()).await?;
+        let (owner, address) = (job.requester.owner.as_ref().map(Owner::as_str), job.requester.network());
+        let turn = turn(tx, job.class, owner.or(address.as_deref()).unwrap_or_default()).await?;
         let insert = format!(
             "INSERT INTO jobs (id, kind, photo, version, class, owner, address, payload, state, turn, created_at, run_after, attempts, faults,
              bytes, used_at) VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'queued', $9, $10, $10, 0, 0, 0, $10) ON CONFLICT (id) DO NOTHING
              RETURNING {COLUMNS}"
         );
-        let insert = sqlx::query(AssertSqlSafe(insert)).bind(id).bind(job.kind.name()).bind(job.photo.to_string()).bind(job.version);
+        let insert = sqlx::query_as(AssertSqlSafe(insert)).bind(id).bind(job.kind.name()).bind(job.photo.to_string()).bind(job.version);
         let insert = insert.bind(job.class.rank()).bind(owner).bind(address).bind(to_json(payload)?).bind(turn).bind(tx.now);
-        let row = insert.fetch_optional(tx.connection()).await?;
-        Job::from_row(&row.ok_or(LibraryError::NotReady)?)
+        insert.fetch_optional(tx.connection()).await?.ok_or(LibraryError::NotReady)
     }
 
     /// Checks the limits of the queue.
     async fn check_places(&self, tx: &mut Tx, job: &NewJob<'_>) -> Result<()> {
         let [one, other] = job.kind.beside();
         let all = if job.kind == JobKind::Make { self.limits().queue } else { self.limits().exports };
-        let count = "SELECT COUNT(*) AS waiting,
-            CAST(COALESCE(SUM(CASE WHEN owner = $3 THEN 1 ELSE 0 END), 0) AS BIGINT) AS of_owner,
-            CAST(COALESCE(SUM(CASE WHEN address = $4 THEN 1 ELSE 0 END), 0) AS BIGINT) AS of_address
+        let count = "SELECT COUNT(*),
+            CAST(COALESCE(SUM(CASE WHEN owner = $3 THEN 1 ELSE 0 END), 0) AS BIGINT),
+            CAST(COALESCE(SUM(CASE WHEN address = $4 THEN 1 ELSE 0 END), 0) AS BIGINT)
             FROM jobs WHERE state = 'queued' AND kind IN ($1, $2)";
-        let count = sqlx::query(count).bind(one.name()).bind(other.name());
-        let count = count.bind(job.requester.owner.as_ref().map(|o| o.as_str().to_owned())).bind(job.requester.network());
-        let row = count.fetch_one(tx.connection()).await?;
+        let count = sqlx::query_as(count).bind(one.name()).bind(other.name());
+        let count = count.bind(job.requester.owner.as_ref().map(Owner::as_str)).bind(job.requester.network());
+        let (any, of_owner, of_address): (i64, i64, i64) = count.fetch_one(tx.connection()).await?;
         let half = all.div_ceil(2);
-        for (share, column, places) in
-            [(QueueLimit::All, "waiting", all), (QueueLimit::Owner, "of_owner", half), (QueueLimit::Address, "of_address", half)]
+        for (share, waiting, places) in
+            [(QueueLimit::All, any, all), (QueueLimit::Owner, of_owner, half), (QueueLimit::Address, of_address, half)]
         {
-            let waiting = row.try_get::<i64, _>(column)? as u64;
+            let waiting = waiting as u64;
             if waiting >= places {
                 let retry_after = wait(tx, job.kind, waiting).await?;
                 return Err(LibraryError::QueueFull { waiting, places, share, retry_after });
@@ -211,18 +212,18 @@ impl Library {
 
     /// Number of photos until the queue is full.
     pub async fn free_places(&self) -> Result<u64> {
-        let count = "SELECT COUNT(*) AS waiting FROM jobs WHERE state = 'queued' AND kind = 'make'";
-        let row = sqlx::query(count).fetch_one(self.database().reader()).await?;
-        Ok(self.limits().queue.saturating_sub(row.try_get::<i64, _>("waiting")? as u64))
+        let count = sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued' AND kind = 'make'");
+        let waiting: i64 = count.fetch_one(self.database().reader()).await?;
+        Ok(self.limits().queue.saturating_sub(waiting as u64))
     }
 
     /// Number of photos that are made before this one; `None` if it is not waiting.
     pub async fn position(&self, photo: PhotoId) -> Result<Option<u64>> {
         let ahead = "SELECT (SELECT COUNT(*) FROM jobs o WHERE o.state = 'queued' AND o.kind = j.kind
-                AND (o.class, o.turn, o.created_at, o.id) < (j.class, j.turn, j.created_at, j.id)) AS ahead
+                AND (o.class, o.turn, o.created_at, o.id) < (j.class, j.turn, j.created_at, j.id))
             FROM jobs j WHERE j.id = $1 AND j.state = 'queued'";
-        let row = sqlx::query(ahead).bind(id_of(JobKind::Make, photo, None)).fetch_optional(self.database().reader()).await?;
-        Ok(row.map(|row| row.try_get::<i64, _>("ahead")).transpose()?.map(|ahead| ahead as u64))
+        let ahead = sqlx::query_scalar(ahead).bind(id_of(JobKind::Make, photo, None));
+        Ok(ahead.fetch_optional(self.database().reader()).await?.map(|ahead: i64| ahead as u64))
     }
 
     /// A job of a photo; `key` names an export.
@@ -231,9 +232,8 @@ impl Library {
     /// [`LibraryError::NotFound`].
     pub async fn job(&self, kind: JobKind, photo: PhotoId, key: Option<&str>) -> Result<Job> {
         let select = format!("SELECT {COLUMNS} FROM jobs WHERE id = $1");
-        let select = sqlx::query(AssertSqlSafe(select)).bind(id_of(kind, photo, key));
-        let row = select.fetch_optional(self.database().reader()).await?;
-        Job::from_row(&row.ok_or(LibraryError::NotFound("job"))?)
+        let select = sqlx::query_as(AssertSqlSafe(select)).bind(id_of(kind, photo, key));
+        select.fetch_optional(self.database().reader()).await?.ok_or(LibraryError::NotFound("job"))
     }
 }
 
@@ -241,19 +241,17 @@ impl Library {
 async fn turn(tx: &mut Tx, class: Class, party: &str) -> Result<i64> {
     let turn = "SELECT COALESCE(
         (SELECT MAX(turn) + 1 FROM jobs WHERE state = 'queued' AND class = $1 AND COALESCE(owner, address, '') = $2),
-        (SELECT MIN(turn) FROM jobs WHERE state = 'queued' AND class = $1), 0) AS turn";
-    let row = sqlx::query(turn).bind(class.rank()).bind(party.to_owned()).fetch_one(tx.connection()).await?;
-    Ok(row.try_get("turn")?)
+        (SELECT MIN(turn) FROM jobs WHERE state = 'queued' AND class = $1), 0)";
+    Ok(sqlx::query_scalar(turn).bind(class.rank()).bind(party).fetch_one(tx.connection()).await?)
 }
 
 /// Estimated time in which the running workers do this many jobs, within bounds.
 async fn wait(tx: &mut Tx, kind: JobKind, jobs: u64) -> Result<Duration> {
-    let rate = "SELECT (SELECT mean_ms FROM durations WHERE kind = $1) AS mean_ms,
-        (SELECT COUNT(*) FROM jobs WHERE state = 'working' AND kind = $1) AS working";
-    let row = sqlx::query(rate).bind(kind.name()).fetch_one(tx.connection()).await?;
-    let mean = row.try_get::<Option<f64>, _>("mean_ms")?.map_or(FIRST_GUESS.as_secs_f64(), |ms| ms / 1000.0);
-    let working = row.try_get::<i64, _>("working")?.max(1) as f64;
-    let wait = Duration::try_from_secs_f64(mean * jobs as f64 / working).unwrap_or(MAX_RETRY);
+    let rate = "SELECT (SELECT mean_ms FROM durations WHERE kind = $1),
+        (SELECT COUNT(*) FROM jobs WHERE state = 'working' AND kind = $1)";
+    let (mean, working): (Option<f64>, i64) = sqlx::query_as(rate).bind(kind.name()).fetch_one(tx.connection()).await?;
+    let mean = mean.map_or(FIRST_GUESS.as_secs_f64(), |ms| ms / 1000.0);
+    let wait = Duration::try_from_secs_f64(mean * jobs as f64 / working.max(1) as f64).unwrap_or(MAX_RETRY);
     Ok(wait.clamp(Duration::from_secs(1), MAX_RETRY))
 }
 

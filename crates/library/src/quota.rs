@@ -1,13 +1,13 @@
 //! Quotas of owners.
 
-use sqlx::{Any, Executor, Row as _};
+use sqlx::{Any, Executor};
 
 use crate::Library;
 use crate::error::{LibraryError, Quota, Result};
 use crate::owner::Owner;
 
 /// Number and bytes of an owner's photos.
-const USED: &str = "SELECT COUNT(*) AS photos, CAST(COALESCE(SUM(bytes), 0) AS BIGINT) AS bytes FROM photos WHERE owner = $1";
+const USED: &str = "SELECT COUNT(*), CAST(COALESCE(SUM(bytes), 0) AS BIGINT) FROM photos WHERE owner = $1";
 
 impl Library {
     /// Checks, before the bytes arrive, whether an owner may have one more photo of this size. [`Library::accept`] checks again.
@@ -24,11 +24,9 @@ impl Library {
         if *owner == Owner::local_user() || (limits.quota_photos.is_none() && limits.quota_bytes.is_none()) {
             return Ok(());
         }
-        let row = sqlx::query(USED).bind(owner.as_str().to_owned()).fetch_one(on).await?;
-        let number = |column: &str| row.try_get::<i64, _>(column).map(|n| n as u64);
-        let (photos, bytes) = (number("photos")?, number("bytes")?);
+        let (photos, bytes): (i64, i64) = sqlx::query_as(USED).bind(owner.as_str()).fetch_one(on).await?;
         for (quota, used, asked, limit) in
-            [(Quota::Photos, photos, 1, limits.quota_photos), (Quota::Bytes, bytes, asked, limits.quota_bytes)]
+            [(Quota::Photos, photos as u64, 1, limits.quota_photos), (Quota::Bytes, bytes as u64, asked, limits.quota_bytes)]
         {
             if let Some(limit) = limit.filter(|limit| used.saturating_add(asked) > *limit) {
                 return Err(LibraryError::QuotaExceeded { quota, used, asked, limit });

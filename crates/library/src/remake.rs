@@ -7,7 +7,7 @@ use crate::Library;
 use crate::blobs::{Content, Contents};
 use crate::change_notifications::Event;
 use crate::error::{LibraryError, Result};
-use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, bytes_of, to_json};
+use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, bytes_of, to_json};
 use crate::photos::locked_photo;
 use crate::queue::{JobKind, NewJob, Requester};
 
@@ -44,15 +44,9 @@ impl Library {
         if !seen.state.is_final() {
             return Err(LibraryError::NotReady);
         }
-        let blobs = if contents.is_empty() { Blobs::new() } else { self.blobs().store(seen.id, contents).await? };
-        let written = blob_names(&blobs);
-        match self.requeue(seen, blobs, remake).await {
-            Ok((photo, replaced)) => {
-                self.blobs().discard(replaced).await;
-                Ok(photo)
-            }
-            Err(error) => Err(self.blobs().discard_refused(written, error).await),
-        }
+        let (photo, replaced) = self.blobs().store_for(seen.id, contents, |blobs| self.requeue(seen, blobs, remake)).await?;
+        self.blobs().discard(replaced).await;
+        Ok(photo)
     }
 
     /// Queues a photo with other blobs; returns the names of the replaced blobs.
@@ -74,9 +68,9 @@ impl Library {
             "UPDATE photos SET state = $1, version = version + 1, class = $2, blobs = $3, bytes = $4, problem = NULL, finished_at = NULL
              WHERE id = $5 RETURNING {COLUMNS}"
         );
-        let update = sqlx::query(AssertSqlSafe(update)).bind(PhotoState::Queued.name()).bind(remake.class.rank());
+        let update = sqlx::query_as(AssertSqlSafe(update)).bind(PhotoState::Queued.name()).bind(remake.class.rank());
         let update = update.bind(to_json(&all)?).bind(bytes_of(&all)).bind(seen.id.to_string());
-        let photo = Photo::from_row(&update.fetch_one(tx.connection()).await?)?;
+        let photo: Photo = update.fetch_one(tx.connection()).await?;
         let requester = Requester { owner: photo.owner.clone().or_else(|| remake.requester.owner.clone()), ..remake.requester.clone() };
         let job =
             NewJob { kind: JobKind::Make, photo: seen.id, version: photo.version, key: None, class: remake.class, requester: &requester };

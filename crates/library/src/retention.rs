@@ -3,10 +3,8 @@
 
 use std::time::Duration;
 
-use sqlx::Row as _;
-
 use crate::deliveries;
-use crate::photo::{file_names, parsed};
+use crate::photo::file_names;
 use crate::{Library, Millis, Result, millis, room_leases};
 
 /// Photos per query.
@@ -67,9 +65,9 @@ impl Library {
         let select = "SELECT id, accepted_at, bytes FROM photos WHERE state IN ('done', 'failed', 'damaged') AND viewed_at <= $1
             ORDER BY viewed_at, id LIMIT $2";
         loop {
-            let sum = "SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) AS bytes FROM photos";
-            let all = sqlx::query(sum).fetch_one(self.database().reader()).await?.try_get::<i64, _>("bytes")? as u64;
-            let over = all.saturating_sub(room);
+            let sum = sqlx::query_scalar("SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) FROM photos");
+            let all: i64 = sum.fetch_one(self.database().reader()).await?;
+            let over = (all as u64).saturating_sub(room);
             if over == 0 {
                 return Ok(());
             }
@@ -84,17 +82,18 @@ impl Library {
     /// Deletes the photos that a query finds, until `enough` bytes are free; returns their number and their bytes.
     async fn delete_found(&self, select: &'static str, until: Millis, enough: u64) -> Result<(u64, u64)> {
         let (mut deleted, mut freed) = (0, 0_u64);
-        for row in sqlx::query(select).bind(until).bind(PART).fetch_all(self.database().reader()).await? {
+        let found: Vec<(String, Millis, i64)> = sqlx::query_as(select).bind(until).bind(PART).fetch_all(self.database().reader()).await?;
+        for (id, accepted_at, bytes) in found {
             if freed >= enough {
                 break;
             }
-            deleted += u64::from(self.delete(parsed(&row, "id")?, Some(row.try_get("accepted_at")?)).await?);
-            freed += row.try_get::<i64, _>("bytes")? as u64;
+            deleted += u64::from(self.delete(id.parse()?, Some(accepted_at)).await?);
+            freed += bytes as u64;
         }
         Ok((deleted, freed))
     }
 
-    /// Removes unused exports, expired sessions and rooms, and the log of deliveries beyond its limits; returns the number of exports.
+    /// Removes unused exports, rooms that nobody has, and the log of deliveries beyond its limits; returns the number of exports.
     async fn sweep_ended(&self) -> Result<u64> {
         let mut tx = self.database().write().await?;
         room_leases::end_abandoned(&mut tx).await?;
@@ -102,12 +101,8 @@ impl Library {
         let delete = "DELETE FROM jobs WHERE (state = 'done' AND used_at <= $1) OR (state = 'failed' AND used_at <= $2) RETURNING result";
         let (done, failed) = (now - millis(limits.exports_for), now - millis(FAILED_FOR.min(limits.exports_for)));
         let deleted = sqlx::query(delete).bind(done).bind(failed).fetch_all(tx.connection()).await?;
-        for (delete, until) in [
-            ("DELETE FROM sessions WHERE expires_at <= $1", now),
-            ("DELETE FROM rooms WHERE live = 0 AND lease_until <= $1", now - millis(ROOM_FOR)),
-        ] {
-            sqlx::query(delete).bind(until).execute(tx.connection()).await?;
-        }
+        let rooms = sqlx::query("DELETE FROM rooms WHERE live = 0 AND lease_until <= $1").bind(now - millis(ROOM_FOR));
+        rooms.execute(tx.connection()).await?;
         deliveries::sweep(&mut tx).await?;
         tx.commit().await?;
         self.blobs().discard(file_names(&deleted)?).await;
@@ -122,8 +117,8 @@ impl Library {
             "INSERT INTO clock (id, seen_at, steady_since) VALUES (1, $1, 0) ON CONFLICT (id) DO UPDATE SET seen_at = excluded.seen_at,
             steady_since = CASE WHEN ABS(excluded.seen_at - clock.seen_at) > $2 THEN excluded.seen_at ELSE clock.steady_since END
             RETURNING steady_since";
-        let row = sqlx::query(look).bind(tx.now).bind(millis(STEADY)).fetch_one(tx.connection()).await?;
-        let (now, since) = (tx.now, row.try_get::<Millis, _>("steady_since")?);
+        let now = tx.now;
+        let since: Millis = sqlx::query_scalar(look).bind(now).bind(millis(STEADY)).fetch_one(tx.connection()).await?;
         tx.commit().await?;
         if since == now {
             tracing::warn!("the clock jumped, or no sweep ran for a day: photos are deleted by their age again after a day");

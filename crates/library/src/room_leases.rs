@@ -2,8 +2,6 @@
 
 use std::time::Duration;
 
-use sqlx::Row as _;
-
 use crate::database::{Tx, is_held};
 use crate::deliveries::{EventData, announce};
 use crate::error::Result;
@@ -30,11 +28,11 @@ impl Library {
             "INSERT INTO rooms (name, origin, epoch, lease_until, live) VALUES ($1, $2, $4, $3, 0) ON CONFLICT (name) DO UPDATE SET
             origin = excluded.origin, lease_until = excluded.lease_until,
             epoch = CASE WHEN excluded.epoch > rooms.epoch THEN excluded.epoch ELSE rooms.epoch + 1 END RETURNING epoch";
-        let insert = sqlx::query(insert).bind(room.to_owned()).bind(address.to_owned()).bind(tx.now + millis(lasts)).bind(tx.now);
-        let row = insert.fetch_one(tx.connection()).await?;
+        let insert = sqlx::query_scalar(insert).bind(room).bind(address).bind(tx.now + millis(lasts)).bind(tx.now);
+        let epoch = insert.fetch_one(tx.connection()).await?;
         start(&mut tx, room).await?;
         tx.commit().await?;
-        Ok(Origin { address: address.to_owned(), epoch: row.try_get("epoch")? })
+        Ok(Origin { address: address.to_owned(), epoch })
     }
 
     /// Renews the lease of a room.
@@ -63,7 +61,7 @@ impl Library {
         let mut tx = self.database().write().await?;
         let insert = "INSERT INTO rooms (name, origin, epoch, lease_until, live) VALUES ($1, '', $2, 0, 0)
             ON CONFLICT (name) DO UPDATE SET origin = excluded.origin";
-        sqlx::query(insert).bind(room.to_owned()).bind(tx.now).execute(tx.connection()).await?;
+        sqlx::query(insert).bind(room).bind(tx.now).execute(tx.connection()).await?;
         start(&mut tx, room).await?;
         tx.commit().await
     }
@@ -78,34 +76,35 @@ impl Library {
     /// The node that has a room, if any.
     pub async fn room(&self, room: &str) -> Result<Option<Origin>> {
         let now = self.database().now().await?;
-        let select = sqlx::query("SELECT origin, epoch FROM rooms WHERE name = $1 AND lease_until > $2").bind(room.to_owned()).bind(now);
-        let row = select.fetch_optional(self.database().reader()).await?;
-        row.map(|row| Ok(Origin { address: row.try_get("origin")?, epoch: row.try_get("epoch")? })).transpose()
+        let select = sqlx::query_as("SELECT origin, epoch FROM rooms WHERE name = $1 AND lease_until > $2").bind(room).bind(now);
+        let found: Option<(String, i64)> = select.fetch_optional(self.database().reader()).await?;
+        Ok(found.map(|(address, epoch)| Origin { address, epoch }))
     }
 }
 
 /// Sets how long a lease lasts from now.
 async fn set(tx: &mut Tx, room: &str, origin: &Origin, lasts: i64) -> Result<()> {
     let update = sqlx::query("UPDATE rooms SET lease_until = $1 WHERE name = $2 AND epoch = $3").bind(tx.now + lasts);
-    is_held(&update.bind(room.to_owned()).bind(origin.epoch).execute(tx.connection()).await?)
+    is_held(&update.bind(room).bind(origin.epoch).execute(tx.connection()).await?)
 }
 
 /// Announces that a room is live, unless it was.
 async fn start(tx: &mut Tx, room: &str) -> Result<()> {
-    let update = sqlx::query("UPDATE rooms SET live = 1 WHERE name = $1 AND live = 0").bind(room.to_owned());
-    if update.execute(tx.connection()).await?.rows_affected() == 0 {
-        return Ok(());
-    }
-    announce(tx, EventType::RoomStarted, None, &EventData::of_room(room)).await
+    set_live(tx, room, true).await
 }
 
 /// Announces that a room is live no more, unless it was not.
 async fn end(tx: &mut Tx, room: &str) -> Result<()> {
-    let update = sqlx::query("UPDATE rooms SET live = 0 WHERE name = $1 AND live = 1").bind(room.to_owned());
+    set_live(tx, room, false).await
+}
+
+async fn set_live(tx: &mut Tx, room: &str, live: bool) -> Result<()> {
+    let event = if live { EventType::RoomStarted } else { EventType::RoomEnded };
+    let update = sqlx::query("UPDATE rooms SET live = $1 WHERE name = $2 AND live <> $1").bind(i64::from(live)).bind(room);
     if update.execute(tx.connection()).await?.rows_affected() == 0 {
         return Ok(());
     }
-    announce(tx, EventType::RoomEnded, None, &EventData::of_room(room)).await
+    announce(tx, event, None, &EventData::of_room(room)).await
 }
 
 /// Ends all rooms. Only for a process that is alone.
@@ -120,8 +119,9 @@ pub(crate) async fn end_abandoned(tx: &mut Tx) -> Result<()> {
 }
 
 async fn end_of(tx: &mut Tx, select: &'static str, until: i64) -> Result<()> {
-    for row in sqlx::query(select).bind(until).fetch_all(tx.connection()).await? {
-        end(tx, &row.try_get::<String, _>("name")?).await?;
+    let rooms: Vec<String> = sqlx::query_scalar(select).bind(until).fetch_all(tx.connection()).await?;
+    for room in rooms {
+        end(tx, &room).await?;
     }
     Ok(())
 }

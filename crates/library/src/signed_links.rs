@@ -1,11 +1,11 @@
-//! Signed links that give access, none of which is stored. A photo's links are signed over its link generation; raising it revokes them.
+//! Signed grants: who holds one has a right on a subject until it expires. None is stored. All have one format, a [`Link`], and are made by
+//! [`Secret::sign`] and checked by [`Secret::allows`]. A photo's grants are signed over its link generation; raising it revokes them.
 
 use std::fmt;
 use std::str::FromStr;
 
 use hmac::{Hmac, KeyInit as _, Mac as _};
-use sha2::Sha256;
-use sqlx::Row as _;
+use sha2::{Digest as _, Sha256};
 
 use crate::Millis;
 use crate::database::{Database, Lock};
@@ -28,6 +28,14 @@ string_enum! {
         Edit = "edit",
         /// Relay a room to the viewers of another node.
         Relay = "relay",
+        /// Publish in a room, and watch it.
+        Publish = "publish",
+        /// Watch a room.
+        Watch = "watch",
+        /// Be an owner.
+        Session = "session",
+        /// Get a session of an owner.
+        Ticket = "ticket",
     }
 }
 
@@ -38,6 +46,8 @@ pub enum Subject<'a> {
     Photo(&'a Photo),
     /// A room of this name.
     Room(&'a str),
+    /// An owner.
+    Owner(&'a Owner),
 }
 
 impl Subject<'_> {
@@ -48,11 +58,12 @@ impl Subject<'_> {
                 format!("photo {} {owner} {} {}", photo.id, photo.accepted_at, photo.link_generation)
             }
             Self::Room(name) => format!("room {name}"),
+            Self::Owner(owner) => format!("owner {}", owner.as_str()),
         }
     }
 }
 
-/// A link: its expiry and signature.
+/// A link: its expiry and signature. As text, `EXPIRES-SIGNATURE`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Link {
     /// Seconds since 1970.
@@ -61,6 +72,12 @@ pub struct Link {
 }
 
 impl Link {
+    /// A link with these 64 hex digits as its signature; `None` if they are not.
+    #[must_use]
+    pub fn of_signature(expires: u64, signature: &str) -> Option<Self> {
+        Some(Self { expires, signature: unhex(signature)? })
+    }
+
     /// The signature as 64 hex digits.
     #[must_use]
     pub fn signature(&self) -> String {
@@ -70,7 +87,7 @@ impl Link {
 
 impl fmt::Display for Link {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}.{}", self.expires, self.signature())
+        write!(f, "{}-{}", self.expires, self.signature())
     }
 }
 
@@ -78,11 +95,8 @@ impl FromStr for Link {
     type Err = LibraryError;
 
     fn from_str(text: &str) -> Result<Self> {
-        let read = |text: &str| {
-            let (expires, signature) = text.split_once('.')?;
-            Some(Self { expires: expires.parse().ok()?, signature: unhex(signature)? })
-        };
-        read(text).ok_or_else(|| LibraryError::Invalid("the link is malformed".into()))
+        let parts = text.split_once('-').and_then(|(expires, signature)| Self::of_signature(expires.parse().ok()?, signature));
+        parts.ok_or_else(|| LibraryError::Invalid("the link is malformed".into()))
     }
 }
 
@@ -97,6 +111,12 @@ impl fmt::Debug for Secret {
 }
 
 impl Secret {
+    /// A secret from the bytes of a key.
+    #[must_use]
+    pub fn of_key(key: &[u8]) -> Self {
+        Self(Sha256::digest(key).into())
+    }
+
     /// An HMAC-SHA-256 over `purpose` and `parts`, each preceded by its length.
     fn mac(&self, purpose: &str, parts: &[&[u8]]) -> Hmac<Sha256> {
         // RFC 2104 pads a key to a block with zeros
@@ -136,6 +156,20 @@ impl Secret {
         let in_time = (now.max(0) as u64) / 1000 < link.expires;
         self.of_link(grant, subject, link.expires).verify_slice(&link.signature).is_ok() && in_time
     }
+
+    /// A grant that names its owner: `OWNER-EXPIRES-SIGNATURE`.
+    #[must_use]
+    pub fn sign_for(&self, grant: Grant, owner: &Owner, expires: u64) -> String {
+        format!("{}-{}", owner.as_str(), self.sign(grant, Subject::Owner(owner), expires))
+    }
+
+    /// The owner whom such a grant names; `None` unless it is valid at `now`.
+    #[must_use]
+    pub fn owner_of(&self, grant: Grant, text: &str, now: Millis) -> Option<Owner> {
+        let (owner, link) = text.split_once('-')?;
+        let owner = Owner::from_column(owner.to_owned());
+        self.allows(grant, Subject::Owner(&owner), &link.parse().ok()?, now).then_some(owner)
+    }
 }
 
 /// The secret that all nodes of a database share; created if missing.
@@ -150,9 +184,9 @@ pub(crate) async fn stored_secret(database: &Database, name: &'static str) -> Re
     tx.lock(Lock::Secret).await?;
     let insert = sqlx::query("INSERT INTO secrets (name, value) VALUES ($1, $2) ON CONFLICT (name) DO NOTHING");
     insert.bind(name).bind(hex(&random::<BYTES>()?)).execute(tx.connection()).await?;
-    let row = sqlx::query("SELECT value FROM secrets WHERE name = $1").bind(name).fetch_one(tx.connection()).await?;
+    let value = sqlx::query_scalar("SELECT value FROM secrets WHERE name = $1").bind(name).fetch_one(tx.connection()).await?;
     tx.commit().await?;
-    Ok(row.try_get("value")?)
+    Ok(value)
 }
 
 #[cfg(test)]
@@ -171,8 +205,21 @@ mod tests {
         assert!(!secret.allows(Grant::Relay, attic, &Link { expires: 1001, ..link.clone() }, 0), "a later end");
         assert!(!Secret([8; BYTES]).allows(Grant::Relay, attic, &link, 0), "another library");
         assert_eq!(link.to_string().parse::<Link>().unwrap(), link);
-        for wrong in ["", ".", "1000", "1000.", "x.00", &format!("{link}0"), &link.to_string()[..link.to_string().len() - 1]] {
+        for wrong in ["", "-", "1000", "1000-", "x-00", &format!("{link}0"), &link.to_string()[..link.to_string().len() - 1]] {
             assert!(wrong.parse::<Link>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_grant_names_its_owner_until_it_expires() {
+        let (secret, ann) = (Secret([7; BYTES]), Owner::of_secret("ann"));
+        let ticket = secret.sign_for(Grant::Ticket, &ann, 1000);
+        assert_eq!(secret.owner_of(Grant::Ticket, &ticket, 999_999), Some(ann.clone()));
+        assert_eq!(secret.owner_of(Grant::Ticket, &ticket, 1_000_000), None, "too late");
+        assert_eq!(secret.owner_of(Grant::Session, &ticket, 0), None, "a ticket is no session");
+        let of_bob = ticket.replace(ann.as_str(), Owner::of_secret("bob").as_str());
+        for wrong in ["", "-", ann.as_str(), &of_bob, &format!("{ticket}0"), &ticket[..ticket.len() - 1], &ticket.to_uppercase()] {
+            assert_eq!(secret.owner_of(Grant::Ticket, wrong, 0), None, "{wrong}");
         }
     }
 

@@ -1,12 +1,9 @@
 //! What the sources of photos said of them, so that they can be asked whether that has changed.
 
-use sqlx::Row as _;
-
 use crate::Library;
 use crate::digest::Digest;
 use crate::error::Result;
 use crate::ids::PhotoId;
-use crate::photo::parsed;
 
 /// The photo that was made of a source, and what the source said of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -22,9 +19,9 @@ pub struct Source {
 impl Library {
     /// The photo of a source, if it is remembered; `digest` is of the address and all else that makes the photo the same.
     pub async fn source(&self, digest: &Digest) -> Result<Option<Source>> {
-        let select = sqlx::query("SELECT photo, etag, last_modified FROM sources WHERE digest = $1").bind(digest.as_str().to_owned());
-        let Some(row) = select.fetch_optional(self.database().reader()).await? else { return Ok(None) };
-        Ok(Some(Source { photo: parsed(&row, "photo")?, etag: row.try_get("etag")?, last_modified: row.try_get("last_modified")? }))
+        let select = sqlx::query_as("SELECT photo, etag, last_modified FROM sources WHERE digest = $1").bind(digest.as_str());
+        let found: Option<(String, _, _)> = select.fetch_optional(self.database().reader()).await?;
+        found.map(|(photo, etag, last_modified)| Ok(Source { photo: photo.parse()?, etag, last_modified })).transpose()
     }
 
     /// Remembers a source until its photo is deleted.
@@ -36,8 +33,8 @@ impl Library {
         let insert = "INSERT INTO sources (digest, photo, etag, last_modified) VALUES ($1, $2, $3, $4)
             ON CONFLICT (digest) DO UPDATE SET photo = excluded.photo, etag = excluded.etag, last_modified = excluded.last_modified";
         crate::photos::locked_photo(&mut tx, source.photo).await?;
-        let insert = sqlx::query(insert).bind(digest.as_str().to_owned()).bind(source.photo.to_string());
-        insert.bind(source.etag.clone()).bind(source.last_modified.clone()).execute(tx.connection()).await?;
+        let insert = sqlx::query(insert).bind(digest.as_str()).bind(source.photo.to_string());
+        insert.bind(&source.etag).bind(&source.last_modified).execute(tx.connection()).await?;
         tx.commit().await
     }
 }

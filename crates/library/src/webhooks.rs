@@ -4,14 +4,14 @@
 use std::fmt;
 
 use sqlx::any::AnyRow;
-use sqlx::{AssertSqlSafe, Row as _};
+use sqlx::{Any, AssertSqlSafe, Executor, FromRow, Row as _};
 
 use crate::database::{Lock, Tx};
 use crate::digest::{Digest, hex};
 use crate::error::{LibraryError, Result};
 use crate::ids::random;
 use crate::owner::Owner;
-use crate::photo::of_name;
+use crate::photo::of_names;
 use crate::string_enum::string_enum;
 use crate::{Library, Millis};
 
@@ -91,18 +91,16 @@ impl fmt::Debug for Webhook {
     }
 }
 
-impl Webhook {
-    pub(crate) fn from_row(row: &AnyRow) -> Result<Self> {
-        let (owner, events, at): (Option<String>, String, Option<Millis>) =
-            (row.try_get("owner")?, row.try_get("events")?, row.try_get("disabled_at")?);
-        let reason: Option<String> = row.try_get("reason")?;
+impl FromRow<'_, AnyRow> for Webhook {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
+        let (at, reason): (Option<Millis>, Option<String>) = (row.try_get("disabled_at")?, row.try_get("reason")?);
         Ok(Self {
             id: row.try_get("id")?,
-            owner: owner.map(Owner::from_column),
+            owner: row.try_get::<Option<_>, _>("owner")?.map(Owner::from_column),
             configured: row.try_get::<i64, _>("configured")? != 0,
             url: row.try_get("url")?,
             secret: row.try_get("secret")?,
-            events: events_of(&events)?,
+            events: of_names(row.try_get("events")?)?,
             created_at: row.try_get("created_at")?,
             disabled: at.map(|at| Disabled { at, reason: reason.unwrap_or_default() }),
             failing_since: row.try_get("failing_since")?,
@@ -144,10 +142,6 @@ fn names_of(events: &[EventType]) -> String {
     events.iter().map(|event| event.name()).collect::<Vec<_>>().join(",")
 }
 
-fn events_of(column: &str) -> Result<Vec<EventType>> {
-    column.split(',').filter(|name| !name.is_empty()).map(of_name).collect()
-}
-
 /// Id of a webhook of the configuration: the same address is the same webhook.
 fn configured_id(url: &str) -> String {
     format!("wh_{}", Digest::of(url.as_bytes()).as_str().get(..32).unwrap_or_default())
@@ -166,16 +160,15 @@ impl Library {
             tx.lock_owner(owner.as_str()).await?;
         }
         tx.lock(Lock::Webhooks).await?;
-        let owner = owner.map(|owner| owner.as_str().to_owned());
-        let count = "SELECT COUNT(*) AS count FROM webhooks WHERE configured = 0 AND COALESCE(owner, '') = $1";
-        let count =
-            sqlx::query(count).bind(owner.clone().unwrap_or_default()).fetch_one(tx.connection()).await?.try_get::<i64, _>("count")?;
+        let owner = owner.map(Owner::as_str);
+        let count = sqlx::query_scalar("SELECT COUNT(*) FROM webhooks WHERE configured = 0 AND COALESCE(owner, '') = $1");
+        let count: i64 = count.bind(owner.unwrap_or_default()).fetch_one(tx.connection()).await?;
         if count as u64 >= MAX_WEBHOOKS {
             return Err(LibraryError::TooManyWebhooks { limit: MAX_WEBHOOKS });
         }
-        let insert = sqlx::query(AssertSqlSafe(format!("{INSERT} RETURNING *"))).bind(format!("wh_{}", hex(&random::<16>()?)));
-        let insert = insert.bind(owner).bind(0_i64).bind(new.url.clone()).bind(new.secret.clone()).bind(names_of(&new.events));
-        let webhook = Webhook::from_row(&insert.bind(tx.now).fetch_one(tx.connection()).await?)?;
+        let insert = sqlx::query_as(AssertSqlSafe(format!("{INSERT} RETURNING *"))).bind(format!("wh_{}", hex(&random::<16>()?)));
+        let insert = insert.bind(owner).bind(0_i64).bind(&new.url).bind(&new.secret).bind(names_of(&new.events)).bind(tx.now);
+        let webhook = insert.fetch_one(tx.connection()).await?;
         tx.commit().await?;
         Ok(webhook)
     }
@@ -185,16 +178,14 @@ impl Library {
         let mut tx = self.database().write().await?;
         tx.lock(Lock::Webhooks).await?;
         let ids: Vec<String> = all.iter().map(|webhook| configured_id(&webhook.url)).collect();
-        for row in sqlx::query("SELECT id FROM webhooks WHERE configured = 1").fetch_all(tx.connection()).await? {
-            let id: String = row.try_get("id")?;
-            if !ids.contains(&id) {
-                remove(&mut tx, &id).await?;
-            }
+        let before: Vec<String> = sqlx::query_scalar("SELECT id FROM webhooks WHERE configured = 1").fetch_all(tx.connection()).await?;
+        for id in before.iter().filter(|id| !ids.contains(id)) {
+            remove(&mut tx, id).await?;
         }
         for (id, webhook) in ids.into_iter().zip(all) {
             let insert = format!("{INSERT} ON CONFLICT (id) DO UPDATE SET secret = excluded.secret, events = excluded.events");
-            let insert = sqlx::query(AssertSqlSafe(insert)).bind(id).bind(None::<String>).bind(1_i64).bind(webhook.url.clone());
-            let insert = insert.bind(webhook.secret.clone()).bind(names_of(&webhook.events)).bind(tx.now);
+            let insert = sqlx::query(AssertSqlSafe(insert)).bind(id).bind(None::<String>).bind(1_i64).bind(&webhook.url);
+            let insert = insert.bind(&webhook.secret).bind(names_of(&webhook.events)).bind(tx.now);
             insert.execute(tx.connection()).await?;
         }
         tx.commit().await
@@ -202,9 +193,8 @@ impl Library {
 
     /// The webhooks of an owner, or all with `None`, oldest first.
     pub async fn webhooks(&self, owner: Option<&Owner>) -> Result<Vec<Webhook>> {
-        let select = sqlx::query("SELECT * FROM webhooks WHERE $1 = '' OR owner = $1 ORDER BY created_at, id");
-        let rows = select.bind(owner.map_or("", Owner::as_str).to_owned()).fetch_all(self.database().reader()).await?;
-        rows.iter().map(Webhook::from_row).collect()
+        let select = sqlx::query_as("SELECT * FROM webhooks WHERE $1 = '' OR owner = $1 ORDER BY created_at, id");
+        Ok(select.bind(owner.map_or("", Owner::as_str)).fetch_all(self.database().reader()).await?)
     }
 
     /// A webhook.
@@ -212,9 +202,7 @@ impl Library {
     /// # Errors
     /// [`LibraryError::NotFound`].
     pub async fn webhook(&self, id: &str) -> Result<Webhook> {
-        let select = sqlx::query("SELECT * FROM webhooks WHERE id = $1").bind(id.to_owned());
-        let row = select.fetch_optional(self.database().reader()).await?;
-        Webhook::from_row(&row.ok_or(LibraryError::NotFound("webhook"))?)
+        read_webhook(self.database().reader(), id).await?.ok_or(LibraryError::NotFound("webhook"))
     }
 
     /// Changes a webhook. One that is disabled fails its pending deliveries.
@@ -226,16 +214,16 @@ impl Library {
         match change.enabled {
             Some(true) => {
                 let enable = "UPDATE webhooks SET disabled_at = NULL, reason = NULL, failing_since = NULL WHERE id = $1";
-                sqlx::query(enable).bind(id.to_owned()).execute(tx.connection()).await?;
+                sqlx::query(enable).bind(id).execute(tx.connection()).await?;
             }
             Some(false) => disable(&mut tx, id, "a caller disabled it").await?,
             None => {}
         }
         let update = "UPDATE webhooks SET url = COALESCE($1, url), events = COALESCE($2, events) WHERE id = $3 RETURNING *";
-        let update = sqlx::query(update).bind(change.url.clone()).bind(change.events.as_deref().map(names_of)).bind(id.to_owned());
-        let row = update.fetch_optional(tx.connection()).await?.ok_or(LibraryError::NotFound("webhook"))?;
+        let update = sqlx::query_as(update).bind(&change.url).bind(change.events.as_deref().map(names_of)).bind(id);
+        let webhook = update.fetch_optional(tx.connection()).await?.ok_or(LibraryError::NotFound("webhook"))?;
         tx.commit().await?;
-        Webhook::from_row(&row)
+        Ok(webhook)
     }
 
     /// Removes a webhook and its deliveries; false if it does not exist.
@@ -247,19 +235,23 @@ impl Library {
     }
 }
 
+pub(crate) async fn read_webhook<'c>(on: impl Executor<'c, Database = Any>, id: &str) -> Result<Option<Webhook>> {
+    Ok(sqlx::query_as("SELECT * FROM webhooks WHERE id = $1").bind(id).fetch_optional(on).await?)
+}
+
 async fn remove(tx: &mut Tx, id: &str) -> Result<bool> {
-    sqlx::query("DELETE FROM deliveries WHERE webhook = $1").bind(id.to_owned()).execute(tx.connection()).await?;
-    let delete = sqlx::query("DELETE FROM webhooks WHERE id = $1").bind(id.to_owned());
+    sqlx::query("DELETE FROM deliveries WHERE webhook = $1").bind(id).execute(tx.connection()).await?;
+    let delete = sqlx::query("DELETE FROM webhooks WHERE id = $1").bind(id);
     Ok(delete.execute(tx.connection()).await?.rows_affected() > 0)
 }
 
 /// Disables a webhook, and fails its pending deliveries.
 pub(crate) async fn disable(tx: &mut Tx, id: &str, reason: &str) -> Result<()> {
     let update = sqlx::query("UPDATE webhooks SET disabled_at = $1, reason = $2 WHERE id = $3 AND disabled_at IS NULL").bind(tx.now);
-    update.bind(reason.to_owned()).bind(id.to_owned()).execute(tx.connection()).await?;
+    update.bind(reason).bind(id).execute(tx.connection()).await?;
     let fail =
         "UPDATE deliveries SET state = 'failed', lease_until = NULL, ended_at = $1, error = $2 WHERE webhook = $3 AND state = 'pending'";
-    let fail = sqlx::query(fail).bind(tx.now).bind(format!("the webhook was disabled: {reason}")).bind(id.to_owned());
+    let fail = sqlx::query(fail).bind(tx.now).bind(format!("the webhook was disabled: {reason}")).bind(id);
     fail.execute(tx.connection()).await?;
     Ok(())
 }

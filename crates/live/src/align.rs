@@ -144,8 +144,8 @@ mod tests {
     use tmpi_testing::pictures::noise;
 
     fn relief(n: usize) -> DisparityMap {
-        let delta = (0..n * n).map(|i| 0.2 + 0.3 * (i % n) as f32 / n as f32 + if i / n < n / 3 { 0.2 } else { 0.0 }).collect();
-        DisparityMap { width: n as u32, height: n as u32, delta }
+        let third = n as u32 / 3;
+        DisparityMap::from_fn(n as u32, n as u32, |x, y| 0.2 + 0.3 * x as f32 / n as f32 + if y < third { 0.2 } else { 0.0 })
     }
 
     /// Adds reproducible noise of amplitude `by`.

@@ -8,6 +8,7 @@ use tmpi_core::Photo;
 use tmpi_live::access_units::{Splitter, codec};
 use tmpi_live::video::{self, VideoError};
 use tmpi_testing::Need;
+use tmpi_testing::pictures::ivf_frames;
 
 /// Runs ffmpeg with these arguments, separated by spaces, and returns its output; `None` if there is no ffmpeg.
 fn ffmpeg(arguments: &str, input: &[u8]) -> Option<Vec<u8>> {
@@ -43,23 +44,11 @@ fn units(stream: &[u8]) -> Vec<Vec<u8>> {
     units.into_iter().map(|unit| unit.data).collect()
 }
 
-/// Frames of an IVF file.
-fn ivf(mut file: &[u8]) -> Vec<Vec<u8>> {
-    let mut frames = Vec::new();
-    file = &file[32..];
-    while let Some((head, rest)) = file.split_first_chunk::<12>() {
-        let (frame, rest) = rest.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
-        frames.push(frame.to_vec());
-        file = rest;
-    }
-    frames
-}
-
 /// Decodes a stream as the server does, at the size in its first frame.
-fn shown(codec: &str, frames: &[Vec<u8>]) -> Result<Vec<Photo>, VideoError> {
-    let size = video::size(codec, &frames[0])?.expect("a key frame first");
+fn shown<T: AsRef<[u8]>>(codec: &str, frames: &[T]) -> Result<Vec<Photo>, VideoError> {
+    let size = video::size(codec, frames[0].as_ref())?.expect("a key frame first");
     let mut decoder = video::decoder(codec, size)?;
-    frames.iter().filter_map(|frame| decoder.decode(frame).transpose()).collect()
+    frames.iter().filter_map(|frame| decoder.decode(frame.as_ref()).transpose()).collect()
 }
 
 /// Decodes a stream with ffmpeg, fully cropped (`unaligned`). Each chroma value applies to four pixels, as in our decoder.
@@ -140,8 +129,8 @@ fn vp9_colours_follow_the_stream() {
                 format!("scale=out_color_matrix={matrix}:out_range={range},format=yuv420p,setparams=range={range}:colorspace={named}");
             let coder = "-c:v libvpx-vp9 -deadline realtime -cpu-used 8 -lag-in-frames 0 -auto-alt-ref 0 -crf 10 -b:v 0 -f ivf";
             let Some(file) = film("174x142", &converted, coder) else { return };
-            let frames = ivf(&file);
-            assert_eq!(video::size("vp09.00.10.08", &frames[0]).unwrap(), Some((174, 142)));
+            let frames = ivf_frames(&file);
+            assert_eq!(video::size("vp09.00.10.08", frames[0]).unwrap(), Some((174, 142)));
             let is = shown("vp09.00.10.08", &frames).unwrap();
             let read = |matrix: &str, range: &str| {
                 psnr(&is, &reference("ivf", &file, (174, 142), &format!("in_color_matrix={matrix}:in_range={range}:")))
@@ -183,6 +172,6 @@ fn unsupported_streams_fail_at_once_with_advice() {
         );
     }
     let Some(file) = film("176x144", "format=yuv444p", "-c:v libvpx-vp9 -deadline realtime -cpu-used 8 -f ivf") else { return };
-    let refused = video::size("vp09.01.10.08", &ivf(&file)[0]);
+    let refused = video::size("vp09.01.10.08", ivf_frames(&file)[0]);
     assert!(matches!(&refused, Err(VideoError::Unsupported(why)) if why.contains("profile")), "{refused:?}");
 }

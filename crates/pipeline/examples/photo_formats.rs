@@ -6,14 +6,14 @@
 //! `refused`.
 
 use std::error::Error;
-use std::io::Cursor;
 use std::path::PathBuf;
 
 use image::{DynamicImage, ImageFormat, RgbImage, RgbaImage};
 use moxcms::{ColorProfile, ToneReprCurve};
 use serde_json::{Value, json};
 use tmpi_pipeline::photo::{Limits, decode};
-use tmpi_testing::jpeg::{Component, Jpeg, Scans, adobe, components, jfif, smooth, smooth_rgb};
+use tmpi_testing::jpeg::{Component, Jpeg, Scans, adobe, components, jfif, smooth, smooth_rgb, without_tables};
+use tmpi_testing::pictures::encoded;
 use tmpi_testing::png::{Png, chunk, iccp};
 
 type Files = Vec<(String, Vec<u8>)>;
@@ -24,7 +24,7 @@ const H: u32 = 45;
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = PathBuf::from(std::env::args().nth(1).ok_or("usage: decoded FOLDER")?);
     let mut index: Vec<Value> = Vec::new();
-    for (name, file) in [jpegs()?, jpeg_colours()?, pngs(), png_colours()?, webps()?].concat() {
+    for (name, file) in [jpegs(), jpeg_colours()?, pngs(), png_colours()?, webps()?].concat() {
         std::fs::write(folder.join(&name), &file)?;
         index.push(match decode(&file, &Limits::default(), None) {
             Ok(got) => {
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// Samplings, orders of scans, ends of files.
-fn jpegs() -> Result<Files, Box<dyn Error>> {
+fn jpegs() -> Files {
     let mut files = Files::new();
     let all = [("interleaved", Scans::Interleaved), ("separate", Scans::Separate), ("progressive", Scans::Progressive)];
     let samplings: [&[(u8, u8)]; 25] = [
@@ -90,24 +90,8 @@ fn jpegs() -> Result<Files, Box<dyn Error>> {
             }
         }
     }
-    let mut plain = Cursor::new(Vec::new());
-    picture().write_to(&mut plain, ImageFormat::Jpeg)?;
-    files.push(("motion.jpg".to_owned(), without_tables(plain.get_ref())));
-    Ok(files)
-}
-
-/// A JPEG without its code tables.
-fn without_tables(file: &[u8]) -> Vec<u8> {
-    let (mut out, mut at) = (file[..2].to_vec(), 2);
-    while file[at + 1] != 0xDA {
-        let end = at + 2 + usize::from(u16::from_be_bytes([file[at + 2], file[at + 3]]));
-        if file[at + 1] != 0xC4 {
-            out.extend(&file[at..end]);
-        }
-        at = end;
-    }
-    out.extend(&file[at..]);
-    out
+    files.push(("motion.jpg".to_owned(), without_tables(&encoded(picture(), ImageFormat::Jpeg), &[])));
+    files
 }
 
 /// Markers, component names, profiles, orientations.
@@ -278,19 +262,17 @@ fn webp_of(chunks: &[u8]) -> Vec<u8> {
 }
 
 /// The chunks of a picture, without the file around them and without a `VP8X` header.
-fn bitstreams(picture: &DynamicImage, lossy: bool) -> Result<Vec<u8>, Box<dyn Error>> {
-    let mut lossless = Cursor::new(Vec::new());
+fn bitstreams(picture: &DynamicImage, lossy: bool) -> Vec<u8> {
     let file = if lossy {
         let (rgba, alpha) = (picture.to_rgba8(), picture.color().has_alpha());
         let rgb = picture.to_rgb8();
         let (w, h) = rgba.dimensions();
         if alpha { webp::Encoder::from_rgba(&rgba, w, h) } else { webp::Encoder::from_rgb(&rgb, w, h) }.encode(90.0).to_vec()
     } else {
-        picture.write_to(&mut lossless, ImageFormat::WebP)?;
-        lossless.into_inner()
+        encoded(picture.clone(), ImageFormat::WebP)
     };
     let chunks = &file[12..];
-    Ok(if chunks.starts_with(b"VP8X") { chunks[18..].to_vec() } else { chunks.to_vec() })
+    if chunks.starts_with(b"VP8X") { chunks[18..].to_vec() } else { chunks.to_vec() }
 }
 
 fn three(value: u32) -> [u8; 3] {
@@ -303,7 +285,7 @@ fn webps() -> Result<Files, Box<dyn Error>> {
     let head = |flags: u8| riff(*b"VP8X", &[&[flags, 0, 0, 0][..], &three(W - 1), &three(H - 1)].concat());
     for (kind, picture, alpha) in [("opaque", picture(), 0), ("clear", clear_picture(), 0x10)] {
         for (codec, lossy) in [("lossy", true), ("lossless", false)] {
-            let body = bitstreams(&picture, lossy)?;
+            let body = bitstreams(&picture, lossy);
             let mut add = |name: String, chunks: &[&[u8]]| files.push((format!("{name}-{kind}-{codec}.webp"), webp_of(&chunks.concat())));
             add("plain".into(), &[&head(alpha), &body]);
             for (profile, icc) in profiles()? {
@@ -320,7 +302,7 @@ fn webps() -> Result<Files, Box<dyn Error>> {
                     let (width, height) = (W - left / 2 * 2, H - top / 2 * 2);
                     let part = picture.crop_imm(0, 0, width - 10, height - 10);
                     let sizes = [three(width - 11), three(height - 11), three(100)].concat();
-                    let frame = [&place[..], &sizes, &[0], &bitstreams(&part, lossy)?].concat();
+                    let frame = [&place[..], &sizes, &[0], &bitstreams(&part, lossy)].concat();
                     let animation = riff(*b"ANIM", &[0, 0, 0, 255, 0, 0]);
                     add(format!("animation-{flag}-{left}-{top}"), &[&head(0x02 | flag), &animation, &riff(*b"ANMF", &frame)]);
                 }

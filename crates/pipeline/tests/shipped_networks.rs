@@ -58,15 +58,13 @@ fn scene(seed: u64) -> Scene {
         colours[usize::from(along.rem_euclid(2.0) < 1.0)].map(|c| (c * light) as u8)
     };
     let inside = |x: u32, y: u32| boxes.iter().rev().find(|(xs, ys, _)| xs.contains(&x) && ys.contains(&y));
-    let at = |i: u32| (i % width, i / width);
-    let pixel = |(x, y): (u32, u32)| {
-        inside(x, y).map_or_else(|| wall(x, y), |(.., d)| [(d * 250.0) as u8, (x * 3 % 256) as u8, (y * 2 % 256) as u8])
-    };
-    let delta = |(x, y): (u32, u32)| inside(x, y).map_or_else(|| 0.35 - 0.1 * x as f32 / width as f32, |(.., d)| *d as f32);
+    let pixel =
+        |x: u32, y: u32| inside(x, y).map_or_else(|| wall(x, y), |(.., d)| [(d * 250.0) as u8, (x * 3 % 256) as u8, (y * 2 % 256) as u8]);
+    let delta = |x: u32, y: u32| inside(x, y).map_or_else(|| 0.35 - 0.1 * x as f32 / width as f32, |(.., d)| *d as f32);
     Scene {
-        photo: Photo { width, height, rgb: (0..width * height).map(|i| pixel(at(i))).collect() },
-        delta: DisparityMap { width, height, delta: (0..width * height).map(|i| delta(at(i))).collect() },
-        wall: (0..width * height).map(at).map(|(x, y)| wall(x, y)).collect(),
+        photo: Photo::from_fn(width, height, pixel),
+        delta: DisparityMap::from_fn(width, height, delta),
+        wall: Photo::from_fn(width, height, wall).rgb,
     }
 }
 

@@ -46,8 +46,7 @@ impl Path {
     /// Returns the path of a name, one of [`Path::NAMES`].
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
-        let ways = [Self::Orbit, Self::Swing, Self::Dolly, Self::DollyZoom, Self::Zoom];
-        Self::NAMES.iter().position(|n| *n == name).map(|i| ways[i])
+        <Self as clap::ValueEnum>::from_str(name, false).ok()
     }
 
     /// The camera of frame `frame` of `frames` around `camera`, within the travel of `range`.
@@ -144,7 +143,9 @@ impl AnimationFormat {
         }
     }
 
-    const fn extension(self) -> &'static str {
+    /// File name extension.
+    #[must_use]
+    pub const fn extension(self) -> &'static str {
         match self {
             Self::WebP => "webp",
             Self::Mp4 => "mp4",

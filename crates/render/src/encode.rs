@@ -41,13 +41,7 @@ impl PictureFormat {
     /// Returns the format of a file name extension: `png`, `jpg`, `jpeg`, `webp` or `mpo`, in any case.
     #[must_use]
     pub fn from_extension(extension: &str) -> Option<Self> {
-        match extension.to_ascii_lowercase().as_str() {
-            "png" => Some(Self::Png),
-            "jpg" | "jpeg" => Some(Self::Jpeg),
-            "webp" => Some(Self::WebP),
-            "mpo" => Some(Self::Mpo),
-            _ => None,
-        }
+        <Self as clap::ValueEnum>::from_str(extension, true).ok()
     }
 }
 

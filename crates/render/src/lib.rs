@@ -21,7 +21,7 @@ pub use cpu::{Cpu, draw_reference_view};
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
 pub use gpu::{Gpu, without_a_display};
 pub use motion_range::MotionRange;
-pub use multiview::{Arrangement, EYE_DISTANCE, MAX_QUILT, Rig, StereoLayout, draw_multiview, pivot};
+pub use multiview::{Arrangement, EYE_DISTANCE, MAX_QUILT, Rig, StereoLayout, draw_multiview};
 pub use reference::Reference;
 
 use std::sync::Arc;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{RenderError, Renderer, View};
-use tmpi_core::{Camera, Class, Intrinsics, Scene};
+use tmpi_core::{Camera, Intrinsics, Scene};
 
 /// How a stereo picture holds the views of the two eyes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
@@ -180,31 +180,6 @@ fn squeezed(camera: &Camera, wide: u32, high: u32) -> Camera {
     Camera { intrinsics, width, height, ..*camera }
 }
 
-/// Default disparity that views turn about, which is also the screen plane of stereo pairs: the median over the photo's area, in steps of
-/// 1/256, as in the page's viewer. 0.35 if the scene shows nothing of the photo.
-#[must_use]
-pub fn pivot(scene: &Scene) -> f64 {
-    const BINS: usize = 256;
-    const UNKNOWN: f64 = 0.35;
-    let mut area = [0usize; BINS];
-    for l in &scene.layers {
-        let (centre, half) = (scene.grid.centre(l.tile), scene.grid.half());
-        let middle = |from: u32, length: u32| f64::from(from) + f64::from(length) / 2.0;
-        let (u, v) = ((middle(l.rect.x, l.rect.w) - centre.0) / half, (middle(l.rect.y, l.rect.h) - centre.1) / half);
-        let texels = l.first_texel..l.first_texel + l.rect.area();
-        let visible = scene.texels.class[texels].iter().filter(|&&c| c == Class::Photo as u8).count();
-        // `as` saturates below 0
-        area[((l.plane.disparity(u, v) * BINS as f64) as usize).min(BINS - 1)] += visible;
-    }
-    let total: usize = area.iter().sum();
-    let mut sum = 0;
-    let median = area.iter().position(|&n| {
-        sum += n;
-        total > 0 && 2 * sum >= total
-    });
-    median.map_or(UNKNOWN, |bin| (bin as f64 + 0.5) / BINS as f64)
-}
-
 /// Draws `scene` for all cameras of `rig` around `camera`, whose size is that of one view before it is squeezed.
 ///
 /// # Errors
@@ -313,16 +288,6 @@ mod tests {
         };
         assert_eq!(pair(0.5), 0);
         assert!(pair(0.0) > 800, "{}", pair(0.0));
-    }
-
-    #[test]
-    fn the_pivot_is_the_disparity_that_half_of_the_photo_is_behind() {
-        for at in [0.1, 0.5, 0.9] {
-            assert!((pivot(&testing::flat(60, 40, at)) - at).abs() <= 1.0 / 256.0, "{at}");
-        }
-        let mut nothing = testing::flat(60, 40, 0.5);
-        nothing.layers.clear();
-        assert!((pivot(&nothing) - 0.35).abs() < 1e-12);
     }
 
     #[test]

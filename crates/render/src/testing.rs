@@ -4,7 +4,7 @@ use tmpi_core::{Class, Grid, Intrinsics, Layer, Photo, Plane, Scene, Texels, Vie
 
 /// One tile with one fronto-parallel layer of disparity `delta` that shows the photo.
 pub(super) fn flat(width: u32, height: u32, delta: f64) -> Scene {
-    let rgb = (0..width * height).map(|i| [(i * 7 % 256) as u8, (i / width) as u8, 90]).collect();
+    let photo = Photo::from_fn(width, height, |x, y| [((y * width + x) * 7 % 256) as u8, y as u8, 90]);
     let layer = |rect| Layer { tile: 0, plane: Plane::fronto_parallel(delta), rect, first_texel: 0, first_hidden: 0 };
     let grid = Grid::full(width, height);
     let texels = Texels {
@@ -16,7 +16,7 @@ pub(super) fn flat(width: u32, height: u32, delta: f64) -> Scene {
         grid,
         intrinsics: Intrinsics::centred(width, height, f64::from(width)),
         view_box: ViewBox::default(),
-        photo: Photo { width, height, rgb },
+        photo,
         layers: vec![layer(grid.rect(0))],
         texels,
     }

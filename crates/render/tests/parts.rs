@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use tmpi_core::container::fixtures::{bare_in, discs};
 use tmpi_core::container::{RegionPhoto, TileRect, decode, region};
-use tmpi_core::{Camera, Grid, Pose, Rect, Scene};
+use tmpi_core::{Camera, Pose, Rect, Scene};
 use tmpi_render::difference::psnr;
 use tmpi_render::{Backend, select};
 
@@ -28,7 +28,7 @@ fn away_from_its_border_a_region_looks_as_the_whole() {
     for (x, y, z) in [(0.0, 0.0, 0.0), (1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0)] {
         let pose = Pose::at(x * b.x, y * b.y, z * b.z);
         let (w, h) = (exact.grid.width as usize, exact.grid.height as usize);
-        let margin = Grid::DEFAULT_SIZE as usize;
+        let margin = exact.grid.size as usize;
         let inner = |view: &[[u8; 4]]| -> Vec<[u8; 4]> {
             (margin..h - margin).flat_map(|y| view[y * w + margin..(y + 1) * w - margin].to_vec()).collect()
         };

@@ -62,6 +62,39 @@ pub fn adobe(transform: u8) -> (u8, Vec<u8>) {
     (0xEE, [&b"Adobe\0\x64\0\0\0\0"[..], &[transform]].concat())
 }
 
+/// A segment of a file.
+#[must_use]
+pub fn segment(marker: u8, body: &[u8]) -> Vec<u8> {
+    [&[0xFF, marker], ((body.len() + 2) as u16).to_be_bytes().as_slice(), body].concat()
+}
+
+/// The file with `segments` behind its first marker.
+#[must_use]
+pub fn with_segments(file: &[u8], segments: &[Vec<u8>]) -> Vec<u8> {
+    [&file[..2], &segments.concat(), &file[2..]].concat()
+}
+
+/// The file with a colour profile.
+#[must_use]
+pub fn with_profile(file: &[u8], profile: &[u8]) -> Vec<u8> {
+    with_segments(file, &[segment(0xE2, &[b"ICC_PROFILE\0\x01\x01", profile].concat())])
+}
+
+/// The file without its code tables, except those `kept` by class and number. Each table must be a segment of its own.
+#[must_use]
+pub fn without_tables(file: &[u8], kept: &[u8]) -> Vec<u8> {
+    let (mut out, mut at) = (file[..2].to_vec(), 2);
+    while file[at + 1] != 0xDA {
+        let end = at + 2 + usize::from(u16::from_be_bytes([file[at + 2], file[at + 3]]));
+        if file[at + 1] != 0xC4 || kept.contains(&file[at + 4]) {
+            out.extend(&file[at..end]);
+        }
+        at = end;
+    }
+    out.extend(&file[at..]);
+    out
+}
+
 /// What the entry of a picture says that is one of the eyes of a 3D camera, in [`multi_picture`].
 pub const EYE: u32 = 0x0002_0002;
 
@@ -79,11 +112,11 @@ pub fn multi_picture(first: &[u8], behind: &[(u32, &[u8])]) -> Vec<u8> {
             body.extend(entry(*attributes, picture.len(), at));
             at += picture.len();
         }
-        [&[0xFF, 0xE2], ((body.len() + 2) as u16).to_be_bytes().as_slice(), &body].concat()
+        segment(0xE2, &body)
     };
     let length = first.len() + index(0).len();
     let pictures = behind.iter().flat_map(|(_, picture)| picture.iter().copied());
-    [&first[..2], &index(length), &first[2..]].concat().into_iter().chain(pictures).collect()
+    with_segments(first, &[index(length)]).into_iter().chain(pictures).collect()
 }
 
 /// Order of a file's scans.
@@ -127,23 +160,23 @@ impl Jpeg {
         let planes: Vec<Plane> = (0..self.components.len()).map(|i| self.plane(i, |x, y| sample(i, x, y))).collect();
         let mut out = vec![0xFF, 0xD8];
         for (marker, body) in &self.segments {
-            segment(&mut out, *marker, body);
+            out.extend(segment(*marker, body));
         }
-        segment(&mut out, 0xDB, &[&[0][..], &[STEP as u8; 64]].concat());
+        out.extend(segment(0xDB, &[&[0][..], &[STEP as u8; 64]].concat()));
         let mut frame = vec![8];
         frame.extend([self.height.to_be_bytes(), self.width.to_be_bytes()].concat());
         frame.push(self.components.len() as u8);
         frame.extend(self.components.iter().flat_map(|c| [c.id, c.h << 4 | c.v, 0]));
-        segment(&mut out, if self.scans == Scans::Progressive { 0xC2 } else { 0xC0 }, &frame);
+        out.extend(segment(if self.scans == Scans::Progressive { 0xC2 } else { 0xC0 }, &frame));
         let table = |class: u8, bits: usize, values: Vec<u8>| {
             let mut counts = [0; 16];
             counts[bits - 1] = values.len() as u8;
             [&[class << 4][..], &counts, &values].concat()
         };
         let ac = (0..16).flat_map(|run| (0..AC_BITS).map(move |bits| run << 4 | bits)).collect();
-        segment(&mut out, 0xC4, &[table(0, 4, DC.collect()), table(1, 8, ac)].concat());
+        out.extend(segment(0xC4, &[table(0, 4, DC.collect()), table(1, 8, ac)].concat()));
         if self.restart > 0 {
-            segment(&mut out, 0xDD, &self.restart.to_be_bytes());
+            out.extend(segment(0xDD, &self.restart.to_be_bytes()));
         }
         self.scans(&planes, &mut out);
         out.extend([0xFF, 0xD9]);
@@ -171,7 +204,7 @@ impl Jpeg {
             let mut head = vec![of.len() as u8];
             head.extend(of.iter().flat_map(|&i| [self.components[i].id, 0]));
             head.extend([band.first, band.last, band.high << 4 | band.low]);
-            segment(out, 0xDA, &head);
+            out.extend(segment(0xDA, &head));
             self.scan(planes, &of, band, out);
         }
     }
@@ -387,10 +420,4 @@ impl Bits {
             self.put(1, 1);
         }
     }
-}
-
-fn segment(out: &mut Vec<u8>, marker: u8, body: &[u8]) {
-    out.extend([0xFF, marker]);
-    out.extend(((body.len() + 2) as u16).to_be_bytes());
-    out.extend(body);
 }

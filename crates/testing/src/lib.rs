@@ -9,6 +9,14 @@ pub mod jpeg;
 pub mod object_stores;
 pub mod pictures;
 pub mod png;
+#[allow(
+    clippy::expect_used,
+    clippy::missing_panics_doc,
+    clippy::must_use_candidate,
+    clippy::return_self_not_must_use,
+    reason = "a panic fails the test"
+)]
+pub mod program;
 #[allow(clippy::expect_used, reason = "a machine without a free port fails the test")]
 mod stand_in;
 
@@ -130,6 +138,17 @@ pub fn data(folder: &str) -> Option<PathBuf> {
         if folder.is_dir() { Ok(folder) } else { Err(format!("there is no folder {}", folder.display())) }
     });
     Need::Data.or_skip(found)
+}
+
+/// All files in a folder and in the folders below it.
+///
+/// # Panics
+/// A folder cannot be read.
+#[must_use]
+pub fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
+    let below = |path: PathBuf| if path.is_dir() { files_below(&path) } else { vec![path] };
+    entries.flatten().flat_map(|entry| below(entry.path())).collect()
 }
 
 /// The folder with the newest PostgreSQL's `initdb`, `postgres` and `createdb`; `None` if one is missing, so that the test is skipped.

@@ -7,11 +7,9 @@ use std::time::Duration;
 
 use crate::Need;
 
-/// The account that every such emulator has, and its key, which are no secret.
+/// The account that every such emulator has, which is no secret.
 pub const AZURE_ACCOUNT: &str = "devstoreaccount1";
-/// See [`AZURE_ACCOUNT`].
-pub const AZURE_KEY: &str = "Eby8vdM02xNOcqFlqUwJPLlmEtlCDXJ1OUzFT50uSRZ6IFsuFq2UVErCz4I6tq/K1SZFPTOtr/KBHBeksoGMGw==";
-/// Leave to do anything to its blobs until 2099, signed with that key.
+/// Leave to do anything to its blobs until 2099, signed with its key, which is no secret either.
 const AZURE_LEAVE: &str =
     "sv=2019-12-12&ss=b&srt=sco&sp=rwdlac&se=2099-01-01T00%3A00%3A00Z&spr=https,http&sig=0inStVod1SiNNw%2FCJ4fRrpJIdRZAadbisT7bZCD4KQs%3D";
 
@@ -69,12 +67,7 @@ impl Engine {
         // start the program itself, not a wrapper script, which would be killed instead
         command.args(["-m", "moto.server", "-H", "127.0.0.1", "-p", "0"]);
         let engine = Self::start(command);
-        let mut stream = TcpStream::connect(engine.addr).expect("the engine listens");
-        let request = format!("PUT /photos HTTP/1.1\r\nhost: {}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n", engine.addr);
-        stream.write_all(request.as_bytes()).expect("a request");
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).expect("an answer");
-        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+        engine.put("/photos", "HTTP/1.1 200");
         Some(engine)
     }
 
@@ -100,14 +93,18 @@ impl Engine {
         let mut command = Command::new("azurite-blob");
         command.args(["--inMemoryPersistence", "--skipApiVersionCheck", "--blobHost", "127.0.0.1", "--blobPort", "0"]);
         let engine = Self::start(command);
-        let mut stream = TcpStream::connect(engine.addr).expect("the engine listens");
-        let target = format!("/{AZURE_ACCOUNT}/photos?restype=container&{AZURE_LEAVE}");
-        let request = format!("PUT {target} HTTP/1.1\r\nhost: {}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n", engine.addr);
+        engine.put(&format!("/{AZURE_ACCOUNT}/photos?restype=container&{AZURE_LEAVE}"), "HTTP/1.1 201");
+        Some(engine)
+    }
+
+    /// Sends a request without a body, whose answer must start as `wanted`.
+    fn put(&self, target: &str, wanted: &str) {
+        let mut stream = TcpStream::connect(self.addr).expect("the engine listens");
+        let request = format!("PUT {target} HTTP/1.1\r\nhost: {}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n", self.addr);
         stream.write_all(request.as_bytes()).expect("a request");
         let mut answer = String::new();
         stream.read_to_string(&mut answer).expect("an answer");
-        assert!(answer.starts_with("HTTP/1.1 201"), "{answer}");
-        Some(engine)
+        assert!(answer.starts_with(wanted), "{answer}");
     }
 
     /// Kills it.

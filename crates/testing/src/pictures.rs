@@ -2,6 +2,7 @@
 
 use std::io::Cursor;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
 
@@ -15,6 +16,18 @@ pub fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
     let mut out = Cursor::new(Vec::new());
     image.into().write_to(&mut out, format).unwrap();
     out.into_inner()
+}
+
+/// A JPEG file of a picture at a quality of 1 to 100.
+///
+/// # Panics
+/// If the format does not hold such a picture.
+#[must_use]
+#[allow(clippy::unwrap_used, reason = "for tests")]
+pub fn jpeg(image: impl Into<DynamicImage>, quality: u8) -> Vec<u8> {
+    let mut out = Vec::new();
+    image.into().write_with_encoder(JpegEncoder::new_with_quality(&mut out, quality)).unwrap();
+    out
 }
 
 /// A PNG file of these samples.
@@ -43,4 +56,16 @@ pub fn waves(width: u32, height: u32) -> Vec<u8> {
 pub fn noise(x: u32, y: u32) -> f32 {
     let i = (y * 4099 + x).wrapping_mul(2_654_435_761);
     ((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 8) as f32 / (1 << 24) as f32
+}
+
+/// Frames of an IVF file, which holds a film in VP9.
+#[must_use]
+pub fn ivf_frames(file: &[u8]) -> Vec<&[u8]> {
+    let (mut frames, mut file) = (Vec::new(), &file[32..]);
+    while let Some((head, rest)) = file.split_first_chunk::<12>() {
+        let (frame, rest) = rest.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
+        frames.push(frame);
+        file = rest;
+    }
+    frames
 }

@@ -35,13 +35,12 @@ impl Room {
 
     /// Stops being an edge; viewers get the origin's `farewell`, if any.
     pub fn end_edge(&self, edge: &CancellationToken, farewell: Option<Bye>) {
-        let mut state = self.lock();
-        // a publisher that came here has ended it already
-        if !edge.is_cancelled() {
-            (state.edge, state.farewell) = (None, farewell);
-        }
-        drop(state);
-        self.changed();
+        self.update(|state| {
+            // a publisher that came here has ended it already
+            if !edge.is_cancelled() {
+                (state.edge, state.farewell) = (None, farewell);
+            }
+        });
     }
 
     /// Takes the origin's `hello`; false if this node is no edge any more or `hello` is invalid or has an older epoch. The same epoch

@@ -1,10 +1,9 @@
 //! The caller's identity and credentials.
 
-use axum::http::HeaderValue;
+use axum::http::{HeaderValue, StatusCode};
 
 use tmpi_library::{Key, Owner, Scope, hex};
 
-use super::photo_token;
 use crate::server::problem::Problem;
 
 /// Prefix of an owner's secret.
@@ -29,15 +28,15 @@ pub fn bearer(value: &HeaderValue) -> Option<&str> {
     scheme.eq_ignore_ascii_case("bearer").then(|| rest.trim())
 }
 
-/// Whether a text has the form of an owner's secret.
-pub fn is_secret(text: &str) -> bool {
-    let fits = |rest: &str| CHARACTERS.contains(&rest.len()) && rest.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
-    text.strip_prefix(OWNER).is_some_and(fits)
+/// The owner of a secret; `None` if the text has not the form of one.
+pub fn owner_of_secret(text: &str) -> Option<Owner> {
+    let rest = text.strip_prefix(OWNER)?;
+    let fits = CHARACTERS.contains(&rest.len()) && rest.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
+    fits.then(|| Owner::of_secret(text))
 }
 
 /// A caller.
-#[derive(Clone)]
-pub enum Principal {
+pub enum Caller {
     /// This machine's own user.
     LocalUser,
     /// Holder of an API key.
@@ -52,15 +51,7 @@ pub enum Principal {
     Anonymous,
 }
 
-impl Principal {
-    /// The caller by an owner's secret or a photo's token; `None` if `text` is neither.
-    pub fn of_bearer(text: &str) -> Option<Self> {
-        if photo_token::is_token(text) {
-            return Some(Self::Manager);
-        }
-        is_secret(text).then(|| Self::Owner(Owner::of_secret(text), text.to_owned()))
-    }
-
+impl Caller {
     pub fn is_admin(&self) -> bool {
         self.has_scope(Scope::Admin)
     }
@@ -81,21 +72,21 @@ impl Principal {
 
     /// Whether the caller may do this with its own photos. Only keys can lack the right.
     pub fn may(&self, scope: Scope) -> bool {
-        self.is_admin() || !matches!(self, Self::Key(key) if !key.may(scope))
+        !matches!(self, Self::Key(key) if !key.may(scope))
     }
 
     /// Checks the right to a route that is not about one photo.
     ///
     /// # Errors
     /// 403.
-    pub fn require_scope(&self, scope: Scope, name: &str) -> Result<(), Problem> {
-        let refuse = |detail| Err(Problem::new(axum::http::StatusCode::FORBIDDEN, "scope", detail));
-        match self {
+    pub fn require_scope(&self, scope: Scope) -> Result<(), Problem> {
+        let detail = match self {
             // a photo's token names no owner for an upload
-            Self::Manager => refuse("a photo's own token is valid for that photo only".to_owned()),
-            who if !who.may(scope) => refuse(format!("the key does not have the scope {name}")),
-            _ => Ok(()),
-        }
+            Self::Manager => "a photo's own token is valid for that photo only".to_owned(),
+            who if !who.may(scope) => format!("the key does not have the scope {}", scope.name()),
+            _ => return Ok(()),
+        };
+        Err(Problem::new(StatusCode::FORBIDDEN, "scope", detail))
     }
 }
 
@@ -105,10 +96,10 @@ mod tests {
 
     #[test]
     fn secrets_are_long_and_plain() {
+        let is_secret = |text: &str| owner_of_secret(text) == Some(Owner::of_secret(text));
         assert!(is_secret(&new_secret().unwrap()) && is_secret(&format!("{OWNER}{}", "aZ0-_678".repeat(4))));
         for wrong in [OWNER.to_owned(), format!("{OWNER}short"), "a".repeat(40), format!("{OWNER}{}", "ä;= ".repeat(10))] {
-            assert!(!is_secret(&wrong), "{wrong}");
+            assert_eq!(owner_of_secret(&wrong), None, "{wrong}");
         }
-        assert_ne!(Owner::of_secret("a"), Owner::of_keys("a"));
     }
 }

@@ -10,10 +10,6 @@ pub fn query_of(link: &Link) -> String {
     format!("expires={}&signature={}", link.expires, link.signature())
 }
 
-/// The link in a request's URL; `None` if it is missing or malformed.
-#[derive(Clone)]
-pub struct LinkInUrl(pub Option<Link>);
-
 /// The link in the URL that the parameter `url` names, as in oEmbed requests.
 #[must_use]
 pub fn link_of_url(uri: &Uri) -> Option<Link> {
@@ -35,7 +31,8 @@ pub fn take_link(uri: &Uri) -> Option<(Uri, Option<Link>)> {
         // a repeated parameter does not count
         all.next().filter(|_| all.next().is_none()).and_then(|pair| pair.split_once('=')).map(|(_, value)| value)
     };
-    let link = value("expires").zip(value("signature")).and_then(|(expires, signature)| format!("{expires}.{signature}").parse().ok());
+    let read = |(expires, signature): (&str, &str)| Link::of_signature(expires.parse().ok()?, signature);
+    let link = value("expires").zip(value("signature")).and_then(read);
     let path = if rest.is_empty() { uri.path().to_owned() } else { format!("{}?{}", uri.path(), rest.join("&")) };
     let mut parts = uri.clone().into_parts();
     parts.path_and_query = PathAndQuery::try_from(path).ok();

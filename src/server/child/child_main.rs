@@ -1,39 +1,36 @@
 //! The child process that makes photos for a server.
 
 use std::collections::BTreeMap;
-use std::io::{self, Write};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::io;
 use std::sync::mpsc::channel;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 
-use super::pipe_frames::{StageFrame, kind, read, write};
+use super::messages::{Answer, Work, read, write};
 use super::{GIVES_WAY, VARIABLE};
 use crate::server::exports::{Drawing, ExportTask, Recipe};
 use crate::server::limits::Limits;
 use crate::server::maker::{Fault, Maker, PipelineMaker, Product};
 use crate::server::photo_options;
-use crate::server::problem::Problem;
-use crate::server::workers::{catch_panic, panic_message};
-use tmpi_pipeline::{Progress, Silent, Sink, strokes};
+use crate::server::routes::Stage;
+use crate::server::workers::catch_panic;
+use tmpi_pipeline::{Progress, Silent, Sink, strokes, usage};
 
 /// If memory is short, Linux kills the process with the highest score first: never the server because of a photo.
 const SCORE: &str = "500";
 
-/// Writes progress as frames.
-struct FrameWriter<W>(Mutex<W>);
-
-impl<W: Write + Send> FrameWriter<W> {
-    fn tell(&self, kind: u8, bytes: &[u8]) {
-        let mut output = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        // if the server has gone, the end of the input shows it
-        let _ = write(&mut *output, kind, bytes).and_then(|()| output.flush());
-    }
+/// Sends an answer with its files to the server.
+fn tell(answer: &Answer, files: &[Vec<u8>]) {
+    // if the server has gone, the end of the input shows it
+    let _ = write(&mut io::stdout().lock(), answer, files);
 }
 
-impl<W: Write + Send> Sink for FrameWriter<W> {
-    fn progress(&self, p: &Progress) {
-        let told = StageFrame { stage: p.stage.to_owned(), step: p.step, steps: p.steps, elapsed_ms: p.elapsed_ms };
-        self.tell(kind::PROGRESS, &serde_json::to_vec(&told).unwrap_or_default());
+/// Sends progress to the server.
+struct ServerSink;
+
+impl Sink for ServerSink {
+    fn progress(&self, message: &Progress) {
+        let &Progress { stage, step, steps, elapsed_ms } = message;
+        tell(&Answer::Progress(Stage { stage: stage.to_owned(), step, steps, elapsed_ms }), &[]);
     }
 }
 
@@ -56,11 +53,11 @@ pub fn serve(maker: &PipelineMaker, limits: &Limits, drawing: Drawing<'_>) {
     if let Err(error) = bound_memory(memory) {
         tracing::warn!(%error, "cannot limit memory");
     }
-    let (tell, frames) = channel();
-    let reader = std::thread::Builder::new().name("tmpi-frames".into()).spawn(move || {
+    let (pass_on, received) = channel();
+    let reader = std::thread::Builder::new().name("tmpi-reads".into()).spawn(move || {
         let mut input = io::stdin().lock();
         loop {
-            let passed_on = read(&mut input).is_ok_and(|frame| tell.send(frame).is_ok());
+            let passed_on = read::<Work>(&mut input).is_ok_and(|work| pass_on.send(work).is_ok());
             if !passed_on {
                 // the server has gone
                 #[allow(clippy::disallowed_methods, reason = "what runs cannot be stopped otherwise, and owns nothing")]
@@ -72,47 +69,39 @@ pub fn serve(maker: &PipelineMaker, limits: &Limits, drawing: Drawing<'_>) {
         tracing::error!(%error, "cannot start a thread");
         return;
     }
-    let output = FrameWriter(Mutex::new(io::stdout()));
-    let mut recipe = Vec::new();
     // created for the first film and reused
     let renderer = OnceLock::new();
     let drawn = || match renderer.get() {
         Some(known) => Ok(Arc::clone(known)),
         None => drawing().map(|fresh| Arc::clone(renderer.get_or_init(|| fresh))),
     };
-    let (mut chosen, mut strokes, mut photo, mut depth) = (Vec::new(), Vec::new(), Vec::new(), None);
-    for (kind, bytes) in frames {
-        match kind {
-            kind::OPTIONS => chosen = bytes,
-            kind::STROKES => strokes = bytes,
-            kind::PHOTO => photo = bytes,
-            kind::DEPTH => depth = Some(bytes),
-            kind::MAKE => {
-                answer(&output, one(maker, (&chosen, &strokes), &std::mem::take(&mut photo), depth.take().as_deref(), &output));
-            }
-            kind::RECIPE => recipe = bytes,
-            kind::WRITE => tell_file(&output, file(&recipe, &bytes, limits, &drawn)),
-            _ => return,
-        }
+    for (work, files) in received {
+        let done = match work {
+            Work::Make(options) => make(maker, &options, &files),
+            Work::Write(recipe) => write_file(&recipe, &files, limits, &drawn),
+        };
+        let (answer, files) = done.unwrap_or_else(|fault| (Answer::Fault(fault), Vec::new()));
+        tell(&answer, &files);
     }
 }
 
-fn file(recipe: &[u8], container: &[u8], limits: &Limits, drawing: Drawing<'_>) -> Result<Vec<u8>, Fault> {
-    let recipe = Recipe::parse(&String::from_utf8_lossy(recipe), limits).map_err(Fault::Photo)?;
-    let work = ExportTask { recipe: &recipe, container, drawing, is_low_priority: false };
+fn make(maker: &PipelineMaker, options: &BTreeMap<String, String>, files: &[Vec<u8>]) -> Result<(Answer, Vec<Vec<u8>>), Fault> {
+    let [strokes, photo, depth @ ..] = files else { return Err(Fault::Server("the photo is missing".into())) };
+    let mut options = photo_options::from_text(options).map_err(Fault::Photo)?;
+    options.strokes = strokes::read(strokes).map_err(|e| Fault::Server(e.to_string()))?;
+    let depth = depth.first().map(Vec::as_slice);
+    let made = catch_panic("making the photo panicked", || maker.make(photo, depth, &options, &ServerSink));
+    let Product { container, report, disparity, thumbnail } = made?;
+    Ok((Answer::Made(Box::new(report)), vec![container, disparity, thumbnail]))
+}
+
+fn write_file(recipe: &str, files: &[Vec<u8>], limits: &Limits, drawing: Drawing<'_>) -> Result<(Answer, Vec<Vec<u8>>), Fault> {
+    let [container] = files else { return Err(Fault::Server("the container is missing".into())) };
+    let recipe = Recipe::parse(recipe, limits).map_err(Fault::Photo)?;
+    let task = ExportTask { recipe: &recipe, container, drawing, is_low_priority: false };
     // the server kills this process to cancel
-    catch_unwind(AssertUnwindSafe(|| work.run(&Silent)))
-        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("writing a file panicked", &panic_message(panic.as_ref())))))
-}
-
-fn tell_file(output: &FrameWriter<impl Write + Send>, outcome: Result<Vec<u8>, Fault>) {
-    match outcome {
-        Ok(bytes) => {
-            output.tell(kind::PEAK, &tmpi_pipeline::usage::peak_rss_bytes().to_le_bytes());
-            output.tell(kind::FILE, &bytes);
-        }
-        Err(fault) => output.tell(kind::FAULT, &serde_json::to_vec(&fault).unwrap_or_default()),
-    }
+    let bytes = catch_panic("writing a file panicked", || task.run(&Silent))?;
+    Ok((Answer::Written(usage::peak_rss_bytes()), vec![bytes]))
 }
 
 /// Lowers the priority of this process.
@@ -125,32 +114,6 @@ fn give_way() {
 
 #[cfg(not(unix))]
 fn give_way() {}
-
-fn one(
-    maker: &PipelineMaker,
-    (options, strokes): (&[u8], &[u8]),
-    photo: &[u8],
-    depth: Option<&[u8]>,
-    sink: &dyn Sink,
-) -> Result<Product, Fault> {
-    let text: BTreeMap<String, String> = serde_json::from_slice(options).map_err(|e| Fault::Server(e.to_string()))?;
-    let mut options = photo_options::from_text(&text).map_err(Fault::Photo)?;
-    options.strokes = strokes::read(strokes).map_err(|e| Fault::Server(e.to_string()))?;
-    catch_panic(|| maker.make(photo, depth, &options, sink))
-}
-
-fn answer(output: &FrameWriter<impl Write + Send>, outcome: Result<Product, Fault>) {
-    let text = |value: serde_json::Result<Vec<u8>>| value.unwrap_or_default();
-    match outcome {
-        Ok(product) => {
-            output.tell(kind::CONTAINER, &product.container);
-            output.tell(kind::DISPARITY, &product.disparity);
-            output.tell(kind::THUMBNAIL, &product.thumbnail);
-            output.tell(kind::REPORT, &text(serde_json::to_vec(&product.report)));
-        }
-        Err(fault) => output.tell(kind::FAULT, &text(serde_json::to_vec(&fault))),
-    }
-}
 
 /// Ignores stop signals: a service manager sends them to all its processes, but the server decides about the current photo.
 #[cfg(unix)]

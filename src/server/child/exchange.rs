@@ -1,77 +1,68 @@
-//! Sends work to a child process and waits for the answer, for photos and for files.
+//! Sends work to a child process and waits for its answer.
 
-use std::io::{self, Write as _};
-use std::process::{Child, ChildStdin};
+use std::io::ErrorKind;
+use std::process::Child;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Instant;
 
-use super::pipe_frames::kind;
-use super::{ChildProcess, Frames, KEPT_BYTES, ProcessMaker, TICK, end, ending};
-use crate::server::maker::Fault;
-use tmpi_pipeline::Sink;
-
-/// The answer of a process.
-pub(super) trait Answer {
-    /// What is made.
-    type Made;
-
-    /// Takes a frame that is no fault. Returns the result once it is complete, with the peak memory of the process in bytes.
-    ///
-    /// # Errors
-    /// What is wrong with the frame.
-    fn take(&mut self, kind: u8, bytes: Vec<u8>) -> Result<Option<(Self::Made, u64)>, String>;
-
-    /// The fault if the deadline passes.
-    fn late(&self) -> Fault;
-}
-
-/// Why there is no result.
-enum NoResult {
-    /// The process reported it, and waits for the next work.
-    Reported(Fault),
-    /// The process ended, was given up, or sent an invalid answer.
-    Lost(Fault),
-}
-
-impl NoResult {
-    fn fault(self) -> Fault {
-        let (Self::Reported(fault) | Self::Lost(fault)) = self;
-        fault
-    }
-}
+use super::messages::{Answer, Work, write};
+use super::{Answers, ChildProcess, KEPT_BYTES, ProcessMaker, TICK, end, ending};
+use crate::server::exports::{ExportTask, timeout_problem};
+use crate::server::maker::{Fault, Product};
+use crate::server::photo_options;
+use tmpi_pipeline::{MakeError, Options, Progress, STAGES, Sink, strokes};
 
 impl ProcessMaker {
-    /// Sends work to `worker` and waits for `answer`, until it is complete, refused, cancelled or late. Keeps the process for reuse if
-    /// possible, else ends it.
-    pub(super) fn ask<A: Answer>(
+    /// Makes a photo in a process that is killed if the photo is unwanted or late.
+    pub(super) fn make_photo(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
+        let strokes = strokes::write(&options.strokes);
+        let mut files = vec![strokes.as_slice(), photo];
+        files.extend(depth);
+        let work = Work::Make(photo_options::to_text(options));
+        self.ask(self.take(false)?, (&work, &files), sink, |answer, files| match (answer, <[_; 3]>::try_from(files)) {
+            (Answer::Made(report), Ok([container, disparity, thumbnail])) => {
+                Some(Product { container, report: *report, disparity, thumbnail })
+            }
+            _ => None,
+        })
+    }
+
+    /// Writes a file in a process that is killed if the file is unwanted or late.
+    pub(super) fn write_file(&self, task: &ExportTask<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+        let work = Work::Write(task.recipe.text());
+        self.ask(self.take(task.is_low_priority)?, (&work, &[task.container]), sink, |answer, files| {
+            match (answer, <[_; 1]>::try_from(files)) {
+                (Answer::Written(_), Ok([bytes])) => Some(bytes),
+                _ => None,
+            }
+        })
+    }
+
+    /// Sends work with its files to `worker` and waits for an answer, until the work is done, refused, cancelled or late. `made` takes the
+    /// answer, unless it does not belong to the work. Keeps the process for reuse if possible, else ends it.
+    fn ask<T>(
         &self,
         mut worker: ChildProcess,
-        send: impl FnOnce(&mut ChildStdin) -> io::Result<()> + Send,
-        mut answer: A,
+        (work, files): (&Work, &[&[u8]]),
         sink: &dyn Sink,
-    ) -> Result<A::Made, Fault> {
+        made: impl Fn(Answer, Vec<Vec<u8>>) -> Option<T>,
+    ) -> Result<T, Fault> {
         let (outcome, keep) = std::thread::scope(|scope| {
             let ChildProcess { child, input, output, .. } = &mut worker;
             // send on a thread: a process that does not read would block past deadline and cancellation
             let sending = std::thread::Builder::new().name("tmpi-sends".into()).spawn_scoped(scope, || {
                 // if the process has ended, the end of its output shows it
-                let _ = send(&mut *input).and_then(|()| input.flush());
+                let _ = write(&mut *input, work, files);
             });
             if let Err(error) = sending {
                 return (Err(Fault::Server(format!("cannot start a thread: {error}"))), false);
             }
-            let outcome = listen(child, output, &mut answer, sink);
-            let keep = match &outcome {
-                Ok((_, peak)) => *peak < KEPT_BYTES,
-                Err(NoResult::Reported(Fault::Photo(_))) => true,
-                // after a fault of its own, start a new one: a missing library may be installed by then
-                Err(_) => false,
-            };
+            let (outcome, keep) = listen(child, output, work, sink, made).unwrap_or_else(|fault| (Err(fault), false));
             if !keep {
                 // ends sending, and what the process started
                 end(child);
             }
-            (outcome.map(|(made, _)| made).map_err(NoResult::fault), keep)
+            (outcome, keep)
         });
         if keep {
             worker.made = Some(Instant::now());
@@ -81,27 +72,48 @@ impl ProcessMaker {
     }
 }
 
-/// Takes frames until the answer is complete; returns it with the peak memory of the process.
-fn listen<A: Answer>(child: &mut Child, output: &Frames, answer: &mut A, sink: &dyn Sink) -> Result<(A::Made, u64), NoResult> {
+/// Waits for the answer to `work`. Returns the outcome, and whether the process can be reused.
+///
+/// # Errors
+/// The process ended, was given up, or sent an invalid answer.
+fn listen<T>(
+    child: &mut Child,
+    output: &Answers,
+    work: &Work,
+    sink: &dyn Sink,
+    made: impl Fn(Answer, Vec<Vec<u8>>) -> Option<T>,
+) -> Result<(Result<T, Fault>, bool), Fault> {
     // the photo may be the cause, so it must not block others forever
-    let lost = |what: String| NoResult::Lost(Fault::Crashed(format!("the process that made it answered what it should not: {what}")));
+    let invalid = |what: &str| Fault::Crashed(format!("the process that made it answered what it should not: {what}"));
+    let mut stage = STAGES[0];
     loop {
         if sink.cancelled() {
-            return Err(NoResult::Lost(Fault::Cancelled));
+            return Err(Fault::Cancelled);
         }
-        let (kind, bytes) = match output.recv_timeout(TICK) {
-            Ok(Ok(frame)) => frame,
-            Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Err(NoResult::Lost(Fault::Crashed(ending(child)))),
-            Err(RecvTimeoutError::Timeout) => match sink.deadline() {
-                Some(deadline) if Instant::now() >= deadline => return Err(NoResult::Lost(answer.late())),
-                _ => continue,
-            },
+        let (answer, files) = match output.recv_timeout(TICK) {
+            Ok(Ok(received)) => received,
+            Ok(Err(error)) if error.kind() == ErrorKind::InvalidData => return Err(invalid(&error.to_string())),
+            Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Err(Fault::Crashed(ending(child))),
+            Err(RecvTimeoutError::Timeout) if sink.deadline().is_some_and(|deadline| Instant::now() >= deadline) => {
+                return Err(match work {
+                    Work::Make(_) => MakeError::Late { stage }.into(),
+                    Work::Write(_) => Fault::Photo(timeout_problem()),
+                });
+            }
+            Err(RecvTimeoutError::Timeout) => continue,
         };
-        if kind == kind::FAULT {
-            return Err(NoResult::Reported(serde_json::from_slice(&bytes).map_err(|e| lost(e.to_string()))?));
-        }
-        if let Some(made) = answer.take(kind, bytes).map_err(lost)? {
-            return Ok(made);
-        }
+        let peak = match &answer {
+            Answer::Progress(told) => {
+                stage = STAGES.iter().find(|name| **name == told.stage).copied().unwrap_or(stage);
+                sink.progress(&Progress { stage, step: told.step, steps: told.steps, elapsed_ms: told.elapsed_ms });
+                continue;
+            }
+            // after a fault of its own, start a new one: a missing library may be installed by then
+            Answer::Fault(fault) => return Ok((Err(fault.clone()), matches!(fault, Fault::Photo(_)))),
+            Answer::Made(report) => report.peak_rss_bytes,
+            Answer::Written(peak) => *peak,
+        };
+        let made = made(answer, files).ok_or_else(|| invalid("the result of other work"))?;
+        return Ok((Ok(made), peak < KEPT_BYTES));
     }
 }

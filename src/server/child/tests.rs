@@ -52,11 +52,17 @@ fn other_processes_cannot_read_the_memory_of_the_server() {
 
 #[test]
 fn invalid_answers_of_a_process_fail_only_its_photo() {
-    // an invalid report, an unknown frame, an endless frame, and an early end
-    let all: [fn() -> io::Result<Command>; 4] = [
-        || Ok(shell(r"printf '\011\004\0\0\0\0\0\0\0null'; cat > /dev/null")),
-        || Ok(shell(r"printf '\143\0\0\0\0\0\0\0\0'; cat > /dev/null")),
-        || Ok(shell("echo a frame of some length; cat > /dev/null")),
+    // no message, an unknown one, an invalid report, a photo without files, a file for a photo, an endless file, and an early end
+    let all: [fn() -> io::Result<Command>; 7] = [
+        || Ok(shell("echo a line of some length; cat > /dev/null")),
+        || Ok(shell(r#"echo '["Unknown",[]]'; cat > /dev/null"#)),
+        || Ok(shell(r#"echo '[{"Made":null},[]]'; cat > /dev/null"#)),
+        || {
+            let made = serde_json::to_string(&Answer::Made(Box::default())).unwrap();
+            Ok(shell(&format!("echo '[{made},[]]'; cat > /dev/null")))
+        },
+        || Ok(shell(r#"echo '[{"Written":1},[2]]'; echo 1; cat > /dev/null"#)),
+        || Ok(shell(r#"echo '[{"Written":1},[2000000000]]'; cat > /dev/null"#)),
         || Ok(shell("exit 0")),
     ];
     for command in all {

@@ -7,5 +7,5 @@ mod write;
 
 pub use query::ExportQuery;
 pub use recipe::Recipe;
-pub use run_export::{WriteRequest, write_export};
-pub use write::{Drawing, ExportTask, TITLE, timeout_problem};
+pub use run_export::{export_for_client, write_export};
+pub use write::{Drawing, ExportTask, timeout_problem};

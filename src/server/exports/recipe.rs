@@ -59,9 +59,7 @@ impl Recipe {
     /// # Errors
     /// As [`Recipe::read`].
     pub fn parse(text: &str, limits: &Limits) -> Result<Self, Problem> {
-        let pair =
-            |part: &str| part.split_once('=').map_or_else(|| (part.to_owned(), String::new()), |(n, v)| (n.to_owned(), v.to_owned()));
-        Self::read(text.split('&').map(pair).collect(), (1, 1), limits)
+        Self::read(form_urlencoded::parse(text.as_bytes()).into_owned().collect(), (1, 1), limits)
     }
 
     /// All parameters in canonical form.
@@ -87,7 +85,7 @@ impl Recipe {
     pub fn kind(text: &str) -> Option<(&'static str, &'static str)> {
         let format = text.split('&').find_map(|part| part.strip_prefix("format="))?;
         let file = ExportFormat::from_extension(format).map(|format| (format.media_type(), format.extension()));
-        file.or_else(|| AnimationFormat::from_extension(format).map(|format| (format.media_type(), ending(format))))
+        file.or_else(|| AnimationFormat::from_extension(format).map(|format| (format.media_type(), format.extension())))
     }
 
     /// Memory that the work takes besides the scene, in bytes.
@@ -108,6 +106,13 @@ impl Recipe {
         PROCESS + scene + self.own(done)
     }
 
+    /// Memory for a slot of work that writes the file, in bytes.
+    #[must_use]
+    pub fn slot_bytes(&self, done: &FinishedPhoto) -> u64 {
+        let pixels = u64::from(done.width) * u64::from(done.height);
+        done.scene_bytes() + if matches!(self, Self::File { format: ExportFormat::Ora, .. }) { ORA_BYTES * pixels } else { 0 }
+    }
+
     /// Whether the server writes it in its own process, while the client waits: pages, which contain the container unchanged, and other
     /// files of small photos, but no films.
     #[must_use]
@@ -117,13 +122,6 @@ impl Recipe {
             Self::File { .. } => done.scene_bytes() <= CHEAP,
             Self::Film(..) => false,
         }
-    }
-}
-
-const fn ending(format: AnimationFormat) -> &'static str {
-    match format {
-        AnimationFormat::WebP => "webp",
-        AnimationFormat::Mp4 => "mp4",
     }
 }
 
@@ -140,7 +138,7 @@ fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static s
     let crop = q.crop.map(|c| format!("{},{},{},{}", c.corner[0], c.corner[1], c.size[0], c.size[1]));
     let all = [
         ("path", q.film.map(|film| value_name(&film.path))),
-        ("format", q.film.map(|film| ending(film.format).to_owned())),
+        ("format", q.film.map(|film| film.format.extension().to_owned())),
         ("frames", q.film.map(|film| film.frames.to_string())),
         ("w", Some(width.to_string())),
         ("h", Some(height.to_string())),
@@ -165,8 +163,7 @@ mod tests {
     use super::*;
 
     fn read(text: &str) -> Result<Recipe, Problem> {
-        let pairs = text.split('&').filter_map(|p| p.split_once('=')).map(|(n, v)| (n.to_owned(), v.to_owned())).collect();
-        Recipe::read(pairs, (80, 60), &Limits::default())
+        Recipe::read(form_urlencoded::parse(text.as_bytes()).into_owned().collect(), (80, 60), &Limits::default())
     }
 
     #[test]

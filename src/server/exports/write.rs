@@ -9,13 +9,13 @@ use crate::server::maker::Fault;
 use crate::server::problem::Problem;
 use crate::server::routes::ViewQuery;
 use axum::http::StatusCode;
+use tmpi_core::Scene;
 use tmpi_core::container;
-use tmpi_core::{Camera, Scene};
 use tmpi_pipeline::Sink;
-use tmpi_render::{Animation, DEFAULT_QUALITY, MotionRange, RenderError, Renderer, View, draw_multiview};
+use tmpi_render::{Animation, DEFAULT_QUALITY, MotionRange, Renderer, draw_multiview};
 
 /// Title of a page: the server knows no name of the photo.
-pub const TITLE: &str = "3D photo";
+const TITLE: &str = "3D photo";
 
 /// Gets the renderer for films, or why there is none.
 pub type Drawing<'a> = &'a (dyn Fn() -> Result<Arc<dyn Renderer>, String> + Sync);
@@ -38,18 +38,16 @@ impl ExportTask<'_> {
     /// # Errors
     /// [`Fault::Cancelled`] once `sink` says so, [`Fault::Photo`] for anything else.
     pub fn run(&self, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
-        let unread = |e| Fault::Photo(Problem::from(&e));
+        let scene = || container::decode(self.container).map_err(failed);
         match self.recipe {
             Recipe::File { format: export::ExportFormat::Html, .. } => export::html(self.container, TITLE).map_err(|e| fault(&e)),
             Recipe::File { format, model } => {
-                let scene = container::decode(self.container).map_err(unread)?;
                 let options = ExportOptions { title: TITLE, model: *model };
-                export::export(*format, self.container, &scene, &options, &|| is_over(sink)).map_err(|e| fault(&e))
+                export::export(*format, self.container, &scene()?, &options, &|| is_over(sink)).map_err(|e| fault(&e))
             }
             Recipe::Film(query, size) => {
-                let scene = Arc::new(container::decode(self.container).map_err(unread)?);
-                let renderer = (self.drawing)().map_err(Fault::Server)?;
-                film(query, *size, &scene, &Unless { sink, renderer: &renderer })
+                let (scene, renderer) = (Arc::new(scene()?), (self.drawing)().map_err(Fault::Server)?);
+                film(query, *size, &scene, &*renderer, sink)
             }
         }
     }
@@ -74,42 +72,34 @@ fn fault(error: &ExportError) -> Fault {
     }
 }
 
-fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &Unless<'_>) -> Result<Vec<u8>, Fault> {
+/// The fault of work that `error` ends.
+#[allow(clippy::needless_pass_by_value, reason = "for map_err")]
+fn failed<E>(error: E) -> Fault
+where
+    for<'a> Problem: From<&'a E>,
+{
+    Fault::Photo(Problem::from(&error))
+}
+
+fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &dyn Renderer, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
     let Some(film) = query.film else { return Err(Fault::Photo(Problem::parameter("path", "is required for a film"))) };
     let (camera, rig, range) = (query.camera(scene, size), query.rig(scene), MotionRange::of(scene));
-    let photo = |problem: Problem| Fault::Photo(problem);
-    let draw = |camera: &Camera| match &rig {
-        Some(rig) => draw_multiview(renderer, scene, camera, rig),
-        None => renderer.render(scene, camera),
-    };
     let mut animation = None;
     for frame in 0..film.frames {
+        if is_over(sink) {
+            return Err(Fault::Cancelled);
+        }
         let camera = film.path.camera(&camera, frame, film.frames, &range);
-        let view =
-            draw(&camera).map_err(|e| if matches!(e, RenderError::Cancelled) { Fault::Cancelled } else { photo(Problem::from(&e)) })?;
-        let size = (view.width, view.height);
-        if animation.is_none() {
-            animation = Some(Animation::start(film.format, size, DEFAULT_QUALITY).map_err(|e| photo(Problem::from(&e)))?);
-        }
-        if let Some(animation) = &mut animation {
-            animation.push(&view).map_err(|e| photo(Problem::from(&e)))?;
-        }
+        let view = match &rig {
+            Some(rig) => draw_multiview(renderer, scene, &camera, rig),
+            None => renderer.render(scene, &camera),
+        };
+        let view = view.map_err(failed)?;
+        let started = match &mut animation {
+            Some(started) => started,
+            None => animation.insert(Animation::start(film.format, (view.width, view.height), DEFAULT_QUALITY).map_err(failed)?),
+        };
+        started.push(&view).map_err(failed)?;
     }
-    animation.map_or(Ok(Vec::new()), Animation::finish).map_err(|e| photo(Problem::from(&e)))
-}
-
-/// Renders unless the file is unwanted.
-struct Unless<'a> {
-    sink: &'a dyn Sink,
-    renderer: &'a Arc<dyn Renderer>,
-}
-
-impl Renderer for Unless<'_> {
-    fn name(&self) -> &'static str {
-        self.renderer.name()
-    }
-
-    fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
-        if is_over(self.sink) { Err(RenderError::Cancelled) } else { self.renderer.render(scene, camera) }
-    }
+    animation.map_or(Ok(Vec::new()), |animation| animation.finish().map_err(failed))
 }

@@ -1,6 +1,7 @@
 //! Progress of a photo as server-sent events.
 
 use std::convert::Infallible;
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::State;
@@ -15,7 +16,7 @@ use tokio::time::Instant;
 
 use super::photo_state::{PhotoState, Progress};
 use super::query::{Found, NoQuery};
-use crate::server::access::{Admission, Guard};
+use crate::server::access::{self, Admission};
 use crate::server::app_state::App;
 use crate::server::client_slots::{ClientSlot, client_address};
 use crate::server::conditional::insert;
@@ -39,7 +40,7 @@ struct Listener {
     queued: Option<u64>,
     ended: bool,
     /// The client's rights, with private access.
-    pass: Option<Admission>,
+    pass: Option<Arc<Admission>>,
     _place: ClientSlot,
 }
 
@@ -196,7 +197,7 @@ pub async fn events(State(app): State<App>, _: NoQuery, Found(photo): Found) -> 
         stage,
         queued: None,
         ended: false,
-        pass: Guard::admission(),
+        pass: access::admission(),
         _place: place,
     };
     let batches = stream::unfold(listener, async |mut listener| listener.next().await.map(|events| (events, listener)));

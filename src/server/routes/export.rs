@@ -1,21 +1,15 @@
 //! Exports of a photo that other programs can open.
 
-use std::sync::Arc;
-use std::time::Instant;
-
 use axum::extract::{Extension, State};
-use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::http::{HeaderMap, Uri, header};
 use axum::response::Response;
-use tokio_util::sync::CancellationToken;
 
 use super::derived_answer::Derived;
 use super::query::Found;
-use crate::export::{self, ExportError, ExportFormat, ExportOptions};
-use crate::server::app_state::{App, AppState, DiskFullPolicy, Export, StoredFile};
-use crate::server::blocking_pool::WorkClass;
+use crate::server::app_state::{App, AppState, Export};
 use crate::server::conditional::insert;
 use crate::server::content_disposition::content_disposition;
-use crate::server::exports::{ExportQuery, Recipe, TITLE};
+use crate::server::exports::{ExportQuery, Recipe, export_for_client};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 
@@ -60,41 +54,14 @@ pub async fn export(
     }
     clock.allow(app.limits.exports.timeout);
     let mut timing = Vec::new();
-    let recipe = Recipe::File { format, model };
     let write = async {
-        let gone = CancellationToken::new();
-        let _guard = gone.clone().drop_guard();
-        let pixels = u64::from(done.width) * u64::from(done.height);
-        let own = if format == ExportFormat::Ora { export::ORA_BYTES * pixels } else { 0 };
-        let slot = app.pool.enter(WorkClass::Export, done.scene_bytes() + own).await?;
-        let cheap = recipe.is_cheap(&done);
-        // a page contains the container as it is
-        let scene = if cheap && format != ExportFormat::Html { Some(app.scene(&photo, &slot).await?.0) } else { None };
-        let (container, name, shared) = (app.container_of(&photo).await?, derived.made.clone(), Arc::clone(&app));
-        let written = slot.run(move || {
-            let start = Instant::now();
-            let bytes = match scene {
-                Some(scene) => export::export(format, &container, &scene, &ExportOptions { title: TITLE, model }, &|| gone.is_cancelled())
-                    .map_err(problem),
-                None if cheap => export::html(&container, TITLE).map_err(problem),
-                None => shared.write_export(&recipe, (&container, &done), &gone),
-            };
-            let stored = StoredFile::derived(Some(&name), bytes?, &shared.temp_folder(), DiskFullPolicy::Refuse)?;
-            Ok::<_, Problem>((Export(stored), start.elapsed()))
-        });
-        let (export, elapsed) = written.await??;
-        timing.push(("export", elapsed));
+        let recipe = Recipe::File { format, model };
+        let (export, [_, took]) = export_for_client(&app, (&photo, &done), recipe, derived.made.clone()).await?;
+        timing.push(("export", took));
         Ok::<_, Problem>(export)
     };
     let Export(stored) = app.exports.get((version, derived.made.clone()), Box::pin(write)).await?;
     let mut response = derived.answer(&headers, stored, format.media_type(), &timing);
     insert(&mut response, header::CONTENT_DISPOSITION, &content_disposition(&photo, format.extension()));
     Ok(response)
-}
-
-fn problem(error: ExportError) -> Problem {
-    match error {
-        ExportError::Cancelled => Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", error.to_string()).retry_after(1),
-        e => Problem::internal("exporting a photo", &e),
-    }
 }

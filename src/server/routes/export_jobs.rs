@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use axum::Json;
 use axum::extract::{FromRequestParts, Path, Request, State};
-use axum::http::header::{CONTENT_DISPOSITION, LOCATION, RETRY_AFTER};
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, LOCATION, RETRY_AFTER};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -16,6 +16,7 @@ use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
 use crate::server::content_disposition::content_disposition;
 use crate::server::exports::Recipe;
+use crate::server::photo_details::FinishedPhoto;
 use crate::server::problem::Problem;
 use crate::server::program_digest;
 use crate::server::request_body;
@@ -104,7 +105,6 @@ impl ExportState {
             JobState::Done => ExportStateName::Done,
             JobState::Failed => ExportStateName::Failed,
         };
-        let pair = |part: &str| part.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()));
         let key = job.key().unwrap_or_default().to_owned();
         let photo = format!("/v1/photos/{}", job.photo);
         let this = format!("{photo}/exports/{key}");
@@ -112,7 +112,7 @@ impl ExportState {
         Self {
             key,
             state,
-            parameters: recipe_of(job).split('&').filter_map(pair).collect(),
+            parameters: form_urlencoded::parse(recipe_of(job).as_bytes()).into_owned().collect(),
             bytes: job.result.as_ref().map(|blob| blob.bytes),
             problem: job.problem.as_ref().filter(|_| job.state == JobState::Failed).map(Problem::of_library),
             expires: job.result.as_ref().map(|_| rfc3339(job.used_at.saturating_add(stays))),
@@ -138,13 +138,9 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
     let mut pairs = decode(request.uri())?;
     let (parts, body) = request.into_parts();
     let body = request_body::read(body, MOST).await?;
-    match request_body::media_type(&parts.headers).as_str() {
+    match request_body::media_type(parts.headers.get(CONTENT_TYPE)).as_str() {
         _ if body.is_empty() => {}
-        "application/x-www-form-urlencoded" => {
-            let text = String::from_utf8_lossy(&body);
-            let form = format!("/?{text}").parse().map_err(|_| Problem::bad_request("the form cannot be read"))?;
-            pairs.extend(decode(&form)?);
-        }
+        "application/x-www-form-urlencoded" => pairs.extend(form_urlencoded::parse(&body).into_owned()),
         "application/json" => pairs.extend(request_body::json_parameters(&body)?),
         _ => {
             let detail = "parameters are application/json, application/x-www-form-urlencoded or a query";
@@ -179,7 +175,7 @@ pub async fn order(State(app): State<App>, Found(photo): Found, request: Request
     let (_, done) = AppState::finished(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();
-    let key = program_digest::short(&format!("file {} {text}", app.version(&done)));
+    let key = key_of(&app, &done, &text);
     let order = NewExport {
         photo: &photo,
         key: &key,
@@ -221,10 +217,14 @@ impl FromRequestParts<App> for OrderedFile {
             job => job?,
         };
         // files of an older version of the photo or of the program expire on their own
-        let is_current =
-            job.version == photo.version && program_digest::short(&format!("file {} {}", app.version(&done), recipe_of(&job))) == key;
+        let is_current = job.version == photo.version && key_of(app, &done, recipe_of(&job)) == key;
         if is_current { Ok(Self { photo, key, job }) } else { Err(none()) }
     }
+}
+
+/// The name of the file of a recipe.
+fn key_of(app: &AppState, done: &FinishedPhoto, recipe: &str) -> String {
+    program_digest::short(&format!("file {} {recipe}", app.version(done)))
 }
 
 fn recipe_of(job: &Job) -> &str {

@@ -41,10 +41,11 @@ use super::app_state::App;
 use super::limits::Limits;
 use super::middleware;
 pub(super) use admin_listener::router as admin_router;
+pub(super) use photo_state::Progress as Stage;
 pub(crate) use query::{NoBody, Pairs};
 pub(super) use rendered_view_query::ViewQuery;
 
-use super::pages;
+use super::pages::{self, Frames};
 use super::problem::Problem;
 use crate::live;
 
@@ -210,17 +211,19 @@ pub struct Route {
 
 /// Scripts and pictures that any site can embed.
 fn files() -> [(&'static str, MethodRouter<App>); 2] {
-    [("/static/{*name}", get(pages::file)), ("/tmpi-viewer.js", get(pages::script))]
+    let script = pages::fixed("element/tmpi-viewer.js", Frames::Anybody);
+    [("/static/{*name}", get(pages::file)), ("/tmpi-viewer.js", script)]
 }
 
 /// Pages.
 fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 6] {
     [
-        ("/", get(pages::index), Access::Own),
-        ("/demo", get(pages::demo), Access::Own),
+        ("/", pages::fixed("app/upload-page.html", Frames::Own), Access::Own),
+        ("/demo", pages::fixed("app/demo-page.html", Frames::Own), Access::Own),
         ("/view/{id}", get(pages::view), Access::Own),
-        ("/live/{room}", get(pages::watch), Access::Own),
-        ("/live/{room}/publish", get(pages::publish), Access::Own),
+        // the page itself shows whether the room is live
+        ("/live/{room}", pages::fixed("app/watch-page.html", Frames::Own), Access::Own),
+        ("/live/{room}/publish", pages::fixed("app/publish-page.html", Frames::Own), Access::Own),
         ("/embed/{id}", get(pages::embed), Access::Framed),
     ]
 }

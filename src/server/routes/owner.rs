@@ -38,8 +38,8 @@ pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Res
         let detail = "only a caller with an owner's secret can make another browser that owner";
         return Err(Problem::new(StatusCode::FORBIDDEN, "no-owner", detail));
     };
-    let expires = app.library.now().await?.max(0) as u64 / 1000 + access::TICKET.as_secs();
-    let mut response = Json(Ticket { ticket: guard.ticket(&owner).await?, expires }).into_response();
+    let (ticket, expires) = guard.ticket(&owner).await?;
+    let mut response = Json(Ticket { ticket, expires }).into_response();
     insert(&mut response, CACHE_CONTROL, "private, no-store");
     Ok(response)
 }
@@ -62,13 +62,13 @@ pub async fn adopt_owner(State(app): State<App>, uri: Uri, headers: HeaderMap, _
     let replace = Pairs::read(&uri, &["replace"])?.parse("replace", "true or false", |text| text.parse().ok())?.unwrap_or(false);
     let mut response = StatusCode::NO_CONTENT.into_response();
     if let Some(guard) = &app.guard
-        && let Some(owner) = access::named_owner()
+        && let Some((owner, kept)) = guard.named_owner().await?
     {
         if !replace && guard.is_another(&headers, &owner).await? {
             let detail = "the browser has another owner's secret, which would be lost; replace=true overwrites it";
             return Err(Problem::new(StatusCode::CONFLICT, "another-owner", detail).field("replace"));
         }
-        access::set_owner(&mut response, &headers, &guard.session_cookie(&owner).await?);
+        access::set_owner(&mut response, &headers, &kept);
     }
     Ok(response)
 }

@@ -150,7 +150,7 @@ fn length_told(headers: &HeaderMap) -> u64 {
 /// The owner of a new photo if access is private, and whether this request created that owner.
 fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
     let uploader = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?;
-    Ok(uploader.map_or((None, false), |u| (Some(u.owner), u.is_new)))
+    Ok(uploader.map_or((None, false), |(owner, is_new)| (Some(owner), is_new)))
 }
 
 /// The state of a queued photo with the status `done` if it is made within the time of `Prefer: wait` and of the request, its problem if it
@@ -356,7 +356,7 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
 /// The headers and the body of a request that is a merge patch of `what`, in at most `most` bytes.
 pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Result<(HeaderMap, Bytes), Problem> {
     let (parts, body) = request.into_parts();
-    if !matches!(request_body::media_type(&parts.headers).as_str(), "application/json" | "application/merge-patch+json") {
+    if !matches!(request_body::media_type(parts.headers.get(CONTENT_TYPE)).as_str(), "application/json" | "application/merge-patch+json") {
         let detail = format!("{what} are application/merge-patch+json or application/json");
         return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-patch", detail).field("Content-Type"));
     }

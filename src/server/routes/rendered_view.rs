@@ -6,13 +6,12 @@ use std::time::{Duration, Instant};
 use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::Response;
-use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app_state::{App, AppState, DiskFullPolicy, Export, StoredFile};
+use crate::server::app_state::{App, AppState, DiskFullPolicy, StoredFile};
 use crate::server::blocking_pool::WorkClass;
 use crate::server::conditional::insert;
-use crate::server::exports::Recipe;
+use crate::server::exports::{Recipe, export_for_client};
 use crate::server::photo_details::FinishedPhoto;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
@@ -99,20 +98,25 @@ pub async fn view(
         return Ok(response);
     }
     let mut timing = Vec::new();
-    let full = if query.film.is_some() { DiskFullPolicy::Refuse } else { DiskFullPolicy::Memory };
-    // concurrent requests for the same view wait for this one
-    let drawn = async {
-        let (bytes, took) = draw(&app, (&photo, &done), &query, size, format).await?;
-        timing = took;
-        let (name, disk) = (derived.made.clone(), app.temp_folder());
-        let keep = tokio::task::spawn_blocking(move || StoredFile::derived(Some(&name), bytes, &disk, full));
-        keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
-    };
     let key = (version, derived.made.clone());
+    // concurrent requests for the same view wait for this one
     let stored = if query.film.is_some() {
         clock.allow(app.limits.exports.timeout);
-        app.exports.get(key, Box::pin(drawn.map_ok(Export))).await?.0
+        let recipe = Recipe::Film(Box::new(query.clone()), size);
+        let written = async {
+            let (export, [waited, rendering]) = export_for_client(&app, (&photo, &done), recipe, derived.made.clone()).await?;
+            timing = vec![("wait", waited), ("render", rendering)];
+            Ok::<_, Problem>(export)
+        };
+        app.exports.get(key, Box::pin(written)).await?.0
     } else {
+        let drawn = async {
+            let (bytes, took) = draw(&app, (&photo, &done), &query, size, format).await?;
+            timing = took;
+            let (name, disk) = (derived.made.clone(), app.temp_folder());
+            let keep = tokio::task::spawn_blocking(move || StoredFile::derived(Some(&name), bytes, &disk, DiskFullPolicy::Memory));
+            keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
+        };
         app.views.get(key, Box::pin(drawn)).await?
     };
     count(&app, &timing);
@@ -130,7 +134,7 @@ fn count(app: &App, timing: &[(&'static str, Duration)]) {
     }
 }
 
-/// Renders and encodes a view or film; also returns the time of each phase.
+/// Renders and encodes a view; also returns the time of each phase.
 async fn draw(
     app: &App,
     (photo, done): (&Photo, &FinishedPhoto),
@@ -143,21 +147,9 @@ async fn draw(
     let renderer = Unless { gone: gone.clone(), renderer: Arc::clone(&app.renderer) };
     let _guard = gone.drop_guard();
     let asked = Instant::now();
-    let class = if query.film.is_some() { WorkClass::Export } else { WorkClass::Interactive };
     // decode inside the slot, so that waiting requests hold no scene
-    let slot = app.pool.enter(class, done.scene_bytes()).await?;
+    let slot = app.pool.enter(WorkClass::Interactive, done.scene_bytes()).await?;
     let waited = asked.elapsed();
-    if query.film.is_some() {
-        let recipe = Recipe::Film(Box::new(query.clone()), size);
-        let (container, shared, done) = (app.container_of(photo).await?, Arc::clone(app), done.clone());
-        let written = slot.run(move || {
-            let start = Instant::now();
-            let bytes = shared.write_export(&recipe, (&container, &done), &renderer.gone)?;
-            Ok::<_, Problem>((bytes, start.elapsed()))
-        });
-        let (bytes, rendering) = written.await??;
-        return Ok((bytes, vec![("wait", waited), ("render", rendering)]));
-    }
     let (scene, decoding) = app.scene(photo, &slot).await?;
     let (camera, rig) = (query.camera(&scene, size), query.rig(&scene));
     let drawn = slot.run(move || {

@@ -6,7 +6,7 @@ use super::query::Pairs;
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
-use tmpi_render::{AnimationFormat, Arrangement, EYE_DISTANCE, MotionRange, Path, PictureFormat, Rig, StereoLayout, pivot};
+use tmpi_render::{AnimationFormat, Arrangement, EYE_DISTANCE, MotionRange, Path, PictureFormat, Rig, StereoLayout};
 
 /// Allowed fields of view in degrees.
 const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;
@@ -245,7 +245,7 @@ impl ViewQuery {
     pub fn rig(&self, scene: &Scene) -> Option<Rig> {
         let arrangement = self.arrangement()?;
         let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(MotionRange::TRAVEL) } else { EYE_DISTANCE };
-        Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or_else(|| pivot(scene)) })
+        Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or_else(|| MotionRange::of(scene).pivot) })
     }
 
     /// The query without size, format and version: equal for equal cameras.

@@ -89,9 +89,7 @@ pub async fn links(State(app): State<App>, Found(photo): Found, uri: Uri, _: NoB
 )]
 pub async fn keep_token(_: NoQuery, Found(photo): Found, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
     let mut response = StatusCode::NO_CONTENT.into_response();
-    if let Some(token) = access::token() {
-        access::set_manage(&mut response, &headers, photo.id, &token);
-    }
+    access::set_manage(&mut response, &headers, photo.id);
     Ok(response)
 }
 

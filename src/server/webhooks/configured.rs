@@ -1,6 +1,5 @@
 //! Webhooks of the configuration, which are told of all photos and rooms.
 
-use std::fmt;
 use std::str::FromStr;
 
 use serde::Deserialize;
@@ -10,14 +9,8 @@ use super::SigningSecret;
 use crate::server::outbound::{self, AddressPolicy};
 
 /// A webhook of the configuration. It may have any address.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct ConfiguredWebhook(NewWebhook);
-
-impl fmt::Debug for ConfiguredWebhook {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Debug::fmt(&self.0, f)
-    }
-}
 
 impl ConfiguredWebhook {
     /// As the library stores it.

@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::http::{StatusCode, header};
-use reqwest::Response;
+use http_body_util::{BodyExt as _, Limited};
+use reqwest::{Body, Response};
 use tmpi_library::{Attempt, DeliveryState, DueDelivery, Event, LibraryError, Subscription, Verdict};
 use tokio::task::JoinSet;
 
@@ -92,17 +93,8 @@ fn retry_after(answer: &Response) -> Option<Duration> {
 }
 
 /// Reads the rest of an answer that is short.
-async fn drain(mut answer: Response) {
-    let read = async {
-        let mut bytes = 0;
-        while let Ok(Some(chunk)) = answer.chunk().await {
-            bytes += chunk.len();
-            if bytes > MAX_ANSWER {
-                break;
-            }
-        }
-    };
-    let _ = tokio::time::timeout(REST, read).await;
+async fn drain(answer: Response) {
+    let _ = tokio::time::timeout(REST, Limited::new(Body::from(answer), MAX_ANSWER).collect()).await;
 }
 
 /// Sends deliveries until the server stops: those that are due at the start, those that events announce, and those to try again.

@@ -37,7 +37,7 @@ const USE = `import 'tmpi-viewer';
   viewer.poster = new Blob();
   // @ts-expect-error read-only
   viewer.loaded = true;
-  import { Tmpi } from 'tmpi-viewer/rest';
+  import { Tmpi } from 'tmpi-viewer/rest-client';
   const tmpi = new Tmpi('https://photos.example');
   const made = tmpi.wait('id', { onEvent: (event) => event.type === 'stage' && event.data.step });
   const atlas: Promise<Uint8Array> = tmpi.atlas('id', { sections: ['photo'] }).then(({ bytes }) => bytes);
@@ -92,8 +92,8 @@ describe('npm package', () => {
       'LICENSE-APACHE',
       'tmpi-viewer.js',
       'tmpi-viewer.d.ts',
-      'rest.js',
-      'rest.d.ts',
+      'rest-client.js',
+      'rest-client.d.ts',
       'upload.html',
       'static/decode/decoder.wasm',
       'static/element/room.js',

@@ -7,9 +7,9 @@ use prost::Message;
 use super::decode_rows::TileLayers;
 use super::schema::{Codec, Index, Kind, Section};
 use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bounds, columns, hidden, label_bands, labels, planes, select_sections};
-use crate::layers::{Surface, texture_tiles};
+use crate::layers::{Surface, join, texture_tiles};
 use crate::parallel;
-use crate::{Class, Geometry, Grid, Intrinsics, Layer, LayerMasks, Photo, Scene, Texels, TexturedLayer, ViewBox};
+use crate::{Class, Geometry, Grid, Intrinsics, Layer, LayerMasks, Photo, Scene, TexturedLayer, ViewBox};
 
 /// All rows of tiles.
 const ALL_ROWS: Range<u32> = 0..u32::MAX;
@@ -90,16 +90,6 @@ pub fn read_geometry(bytes: &[u8]) -> Result<Geometry, ContainerError> {
     layer_geometry(&index, body, grid, (intrinsics, view_box), &ALL_ROWS)
 }
 
-/// Returns the header and index of a container, and its section of planes before entropy coding.
-///
-/// # Errors
-/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
-pub fn read_plain(bytes: &[u8]) -> Result<(&[u8], Vec<u8>), ContainerError> {
-    let (index, body) = split(bytes)?;
-    let (grid, ..) = cameras(&index)?;
-    Ok((&bytes[..bytes.len() - body.len()], plane_section(&index, body, &grid, index.planes as usize)?))
-}
-
 fn parts(index: &Index, body: &[u8], rows: &Range<u32>, pictures: PictureDecoder) -> Result<(Photo, Geometry), ContainerError> {
     let (grid, intrinsics, view_box) = cameras(index)?;
     let section = find(index, Kind::Photo).ok_or_else(|| ContainerError::broken("there is no photo section"))?;
@@ -149,7 +139,6 @@ pub(super) fn derive_layers(
     rgb: &[[u8; 3]],
     pictures: PictureDecoder,
 ) -> Result<TileLayers, ContainerError> {
-    let (mut layers, mut texels) = (Vec::new(), Texels::default());
     let shapes = geometry.masks_of(tiles.clone(), &surface, false);
     let carried = find(index, Kind::Hidden).is_some();
     let textured = if carried {
@@ -158,19 +147,7 @@ pub(super) fn derive_layers(
     } else {
         texture_tiles(geometry, surface, rgb, tiles.start, shapes)
     };
-    let all = || textured.iter().flatten();
-    texels.hidden.reserve_exact(all().map(|l| l.hidden.len()).sum());
-    let count = all().map(|l| l.shape.class.len()).sum();
-    texels.class.reserve_exact(count);
-    texels.alpha.reserve_exact(count);
-    for (tile, textured) in tiles.zip(textured) {
-        for TexturedLayer { shape: s, hidden } in textured {
-            layers.push(Layer { tile, plane: s.plane, rect: s.rect, first_texel: texels.class.len(), first_hidden: 0 });
-            texels.class.extend_from_slice(&s.class);
-            texels.alpha.extend_from_slice(&s.alpha);
-            texels.hidden.extend_from_slice(&hidden);
-        }
-    }
+    let (mut layers, mut texels) = join(tiles.start, textured);
     refine_alpha(index, body, &mut texels.alpha)?;
     let hidden = count_hidden(&mut layers, &texels.class);
     if carried {

@@ -8,11 +8,7 @@ use crate::{Geometry, Grid, Intrinsics, Photo, Plane, Scene, TexturedLayer, Tile
 #[must_use]
 pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
     let grid = Grid::new(width, height, 64);
-    let photo = Photo {
-        width,
-        height,
-        rgb: (0..width * height).map(|i| [(i % width * 255 / width) as u8, (i / width * 255 / height) as u8, 90]).collect(),
-    };
+    let photo = Photo::from_fn(width, height, |x, y| [(x * 255 / width) as u8, (y * 255 / height) as u8, 90]);
     let disc = |x: u32, y: u32| (x % 41).abs_diff(20).pow(2) + (y % 37).abs_diff(18).pow(2) < 150;
     let tiles = (0..grid.tiles())
         .map(|t| {

@@ -193,19 +193,6 @@ mod tests {
             let (counts, labels) = maps(&grid, seed);
             prop_assert_eq!(decode(&grid, &counts, &encode(&grid, &counts, &labels)).unwrap(), labels);
         }
-
-        #[test]
-        fn damage_gives_valid_labels(data in prop::collection::vec(any::<u8>(), 0..300), seed in 0u32..100) {
-            let grid = Grid::new(100, 90, 64);
-            let (counts, _) = maps(&grid, seed);
-            let labels = decode(&grid, &counts, &data).unwrap();
-            let mut at = 0;
-            for t in 0..grid.tiles() {
-                let n = grid.rect(t).area();
-                prop_assert!(labels[at..at + n].iter().all(|l| *l < counts[t as usize]));
-                at += n;
-            }
-        }
     }
 
     #[test]

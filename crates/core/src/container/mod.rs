@@ -32,7 +32,7 @@ mod texture_strip;
 mod unpack;
 
 pub use bounds::{most_planes, readable};
-pub use decode::{PictureDecoder, SectionInfo, decode_with, read_geometry, read_plain, sections};
+pub use decode::{PictureDecoder, SectionInfo, decode_with, read_geometry, sections};
 #[cfg(feature = "pictures")]
 pub use decode::{decode, read};
 pub use decode_rows::{PhotoRows, TileLayers, decode_rows, pixel_rows};
@@ -46,7 +46,7 @@ pub use picture_codec::decode as decode_picture;
 pub use picture_codec::{encode_jpeg, encode_lossless};
 #[cfg(feature = "write")]
 pub use region::{RegionPhoto, TileRect, region};
-pub use select_sections::{SECTIONS, select, with_section};
+pub use select_sections::{SECTIONS, select};
 #[cfg(feature = "write")]
 pub use smaller_level::{LEVELS, level};
 pub(crate) use texture_strip::texels;

@@ -25,23 +25,7 @@ pub fn select(container: &[u8], names: &[&str]) -> Result<Vec<u8>, ContainerErro
         kept.extend_from_slice(decode::range(s, body)?);
     }
     index.sections = sections;
-    let mut out = header(&container[4..8], &index.encode_to_vec());
-    out.extend(kept);
-    Ok(out)
-}
-
-/// Appends a section to a container.
-///
-/// # Errors
-/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
-pub fn with_section(container: &[u8], kind: Kind, codec: super::schema::Codec, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
-    let (mut index, body) = decode::split(container)?;
-    let (offset, length) = (body.len() as u64, data.len() as u64);
-    index.sections.push(Section { kind: kind.into(), codec: codec.into(), offset, length, ..Section::default() });
-    let mut out = header(&container[4..8], &index.encode_to_vec());
-    out.extend(body);
-    out.extend(data);
-    Ok(out)
+    Ok([header(&container[4..8], &index.encode_to_vec()), kept].concat())
 }
 
 /// Header and index of a container; `version` is the major and minor version, little-endian.

@@ -38,10 +38,7 @@ pub fn unpacked(container: &[u8]) -> Result<Vec<u8>, ContainerError> {
         (s.offset, s.length) = ((body.len() + added.len()) as u64, raw.len() as u64);
         added.extend(raw);
     }
-    let mut out = header(&container[4..8], &index.encode_to_vec());
-    out.extend(body);
-    out.extend(added);
-    Ok(out)
+    Ok([&header(&container[4..8], &index.encode_to_vec())[..], body, &added].concat())
 }
 
 /// Unpacks a section to at most `want` bytes.

@@ -22,5 +22,5 @@ pub use prune::work_of;
 pub use seen_background::SeenBackground;
 pub(crate) use seen_background::{MAX_FRAMES, STEADY};
 pub use surface::Surface;
-pub(crate) use texture::texture_tiles;
 pub use texture::{TexturedLayer, compose, texture};
+pub(crate) use texture::{join, texture_tiles};

@@ -39,19 +39,26 @@ pub(crate) fn texture_tiles(
 /// Joins the textured layers of all tiles into a scene.
 #[must_use]
 pub fn compose(photo: Photo, geometry: &Geometry, tiles: Vec<Vec<TexturedLayer>>) -> Scene {
-    let mut texels = Texels::default();
-    let mut layers = Vec::with_capacity(tiles.iter().map(Vec::len).sum());
-    let total: usize = tiles.iter().flatten().map(|l| l.shape.class.len()).sum();
-    texels.class.reserve_exact(total);
-    texels.alpha.reserve_exact(total);
-    for (tile, t) in tiles.into_iter().enumerate() {
-        for TexturedLayer { shape, hidden } in t {
+    let (layers, texels) = join(0, tiles);
+    Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
+}
+
+/// Joins the textured layers of tiles from index `first` on.
+pub(crate) fn join(first: u32, tiles: Vec<Vec<TexturedLayer>>) -> (Vec<Layer>, Texels) {
+    let (mut layers, mut texels) = (Vec::with_capacity(tiles.iter().map(Vec::len).sum()), Texels::default());
+    let all = || tiles.iter().flatten();
+    let count = all().map(|l| l.shape.class.len()).sum();
+    texels.class.reserve_exact(count);
+    texels.alpha.reserve_exact(count);
+    texels.hidden.reserve_exact(all().map(|l| l.hidden.len()).sum());
+    for (tile, textured) in (first..).zip(tiles) {
+        for TexturedLayer { shape, hidden } in textured {
             let (first_texel, first_hidden) = (texels.class.len(), texels.hidden.len());
-            layers.push(Layer { tile: tile as u32, plane: shape.plane, rect: shape.rect, first_texel, first_hidden });
+            layers.push(Layer { tile, plane: shape.plane, rect: shape.rect, first_texel, first_hidden });
             texels.class.extend(shape.class);
             texels.alpha.extend(shape.alpha);
             texels.hidden.extend(hidden);
         }
     }
-    Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
+    (layers, texels)
 }

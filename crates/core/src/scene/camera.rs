@@ -1,7 +1,5 @@
 //! Cameras, poses and the homography of a plane.
 
-use super::Plane;
-
 /// Row-major 3×3 matrix.
 pub type Mat3 = [[f64; 3]; 3];
 
@@ -188,17 +186,10 @@ pub fn homography(m: [f64; 3], reference: &Intrinsics, camera: &Camera) -> Mat3 
     mat3_mul(&mat3_mul(&camera.intrinsics.matrix(), &rt), &reference.inverse())
 }
 
-impl Camera {
-    /// [`homography`] of a plane of a tile with the centre `centre` and half the size `half`, both in reference pixels.
-    #[must_use]
-    pub fn homography_of(&self, plane: &Plane, centre: (f64, f64), half: f64, reference: &Intrinsics) -> Mat3 {
-        homography(plane.normal(centre, half, reference), reference, self)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Plane;
 
     fn project(p: &Pose, x: [f64; 3]) -> [f64; 3] {
         let (r, t) = p.extrinsics();
@@ -252,7 +243,7 @@ mod tests {
         };
         let plane = Plane { a: 0.6, b: 0.1, c: -0.05 };
         let (centre, half) = ((96.0, 88.0), 32.0);
-        let h = cam.homography_of(&plane, centre, half, &k);
+        let h = homography(plane.normal(centre, half, &k), &k, &cam);
         let (x, y) = (80.5, 101.5);
         let d = plane.disparity((x - centre.0) / half, (y - centre.1) / half);
         let p = [(x - k.cx) / k.fx / d, (y - k.cy) / k.fy / d, 1.0 / d];

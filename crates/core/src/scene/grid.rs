@@ -71,9 +71,6 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// The paper's tile size.
-    pub const DEFAULT_SIZE: u32 = 64;
-
     /// Tiles of `size` pixels with the paper's stride `r = h − h/8`.
     #[must_use]
     pub fn new(width: u32, height: u32, size: u32) -> Self {

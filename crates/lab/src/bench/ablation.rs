@@ -6,7 +6,8 @@ use super::experiments::VIEW;
 use super::figures::Figures;
 use super::measure::{self, Bench};
 use super::subject::{self, Subject};
-use super::{Axis, BenchError, Curve, Experiment, Point};
+use super::{Axis, Curve, Experiment, Point};
+use crate::LabError;
 use crate::scenes::hidden_colours;
 use tmpi_core::TexturedLayer;
 use tmpi_core::{Class, DisparityMap, Geometry, Grid, Intrinsics, LayerMasks, Photo, Rect, Scene, TileFrame};
@@ -73,9 +74,9 @@ struct Prepared<'a> {
 }
 
 impl<'a> Prepared<'a> {
-    fn new(subject: &'a Subject, psi: Option<&'a dyn Network>) -> Result<Option<Self>, BenchError> {
+    fn new(subject: &'a Subject, psi: Option<&'a dyn Network>) -> Result<Option<Self>, LabError> {
         let Some(given) = subject.disparity.as_deref() else { return Ok(None) };
-        let fail = |e| BenchError::Make { subject: subject.name.clone(), source: MakeError::Photo(e) };
+        let fail = |e| LabError::Make { subject: subject.name.clone(), source: MakeError::Photo(e) };
         let decoded = photo::decode(&subject.file, &Limits::default(), None).map_err(fail)?;
         let photo = decoded.photo;
         let intrinsics = subject.fov_x.map_or(decoded.intrinsics, |fov| Intrinsics::from_fov_x(photo.width, photo.height, fov));
@@ -104,7 +105,7 @@ impl<'a> Prepared<'a> {
         geometry
     }
 
-    fn scene(&self, geometry: &Geometry, without: Without) -> Result<Scene, BenchError> {
+    fn scene(&self, geometry: &Geometry, without: Without) -> Result<Scene, LabError> {
         let mut shapes = if without == Without::Prune { geometry.masks_unpruned() } else { geometry.masks() };
         for (class, alpha) in texels(&mut shapes) {
             let (hidden, soft) = (*class == Class::Hidden as u8, *class == Class::Photo as u8 && *alpha < 255);
@@ -118,7 +119,7 @@ impl<'a> Prepared<'a> {
         match (without, self.psi, self.subject.seed) {
             (Without::Fill, ..) => coloured.iter_mut().flatten().for_each(|l| self.own_colours(l)),
             (Without::Refined, Some(psi), _) => {
-                let fail = |e| BenchError::Make { subject: self.subject.name.clone(), source: MakeError::Generate(e) };
+                let fail = |e| LabError::Make { subject: self.subject.name.clone(), source: MakeError::Generate(e) };
                 refine::run(psi, &self.photo, geometry, &mut coloured).map_err(fail)?;
             }
             (Without::Known, _, Some(seed)) => {
@@ -145,7 +146,7 @@ impl<'a> Prepared<'a> {
     }
 
     /// Measures one setting.
-    fn add(&self, f: &mut Figures, without: Without, neighbour: f32) -> Result<(), BenchError> {
+    fn add(&self, f: &mut Figures, without: Without, neighbour: f32) -> Result<(), LabError> {
         let geometry = self.geometry(without, neighbour);
         let scene = Arc::new(self.scene(&geometry, without)?);
         let cpu = Cpu::default();
@@ -183,18 +184,18 @@ fn changes(b: &Geometry) -> f64 {
 }
 
 /// Measures a setting on all subjects; the figures are means.
-fn point(all: &[Prepared], setting: String, (without, neighbour): (Without, f32), x: &Axis) -> Result<Point, BenchError> {
+fn point(all: &[Prepared], setting: String, (without, neighbour): (Without, f32), x: &Axis) -> Result<Point, LabError> {
     let mut f = Figures::default();
     all.iter().try_for_each(|p| p.add(&mut f, without, neighbour))?;
     Ok(f.point(setting, (&x.label, &VIEW.label)))
 }
 
-fn prepared<'a>(subjects: &'a [Subject], psi: Option<&'a dyn Network>) -> Result<Vec<Prepared<'a>>, BenchError> {
+fn prepared<'a>(subjects: &'a [Subject], psi: Option<&'a dyn Network>) -> Result<Vec<Prepared<'a>>, LabError> {
     subjects.iter().filter_map(|s| Prepared::new(s, psi).transpose()).collect()
 }
 
 /// Disables one step at a time.
-pub(super) fn steps(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, BenchError> {
+pub(super) fn steps(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
     let all = prepared(subjects, bench.psi())?;
     let x = Axis::new("texels per pixel", false, Some(false));
     let mut points = Vec::new();
@@ -217,7 +218,7 @@ pub(super) fn steps(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, B
 }
 
 /// Varies the weight of label smoothing.
-pub(super) fn labels(subjects: &[Subject], quick: bool) -> Result<Experiment, BenchError> {
+pub(super) fn labels(subjects: &[Subject], quick: bool) -> Result<Experiment, LabError> {
     let all = prepared(subjects, None)?;
     let x = Axis::new("label changes, % of pixels", true, Some(false));
     let weights: &[f32] = if quick { &[0.0, 0.12, 0.3, 1.5] } else { &[0.0, 0.05, 0.12, 0.2, 0.3, 0.6, 1.5] };

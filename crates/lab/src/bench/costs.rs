@@ -3,7 +3,8 @@
 use super::figures::median;
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Curve, Experiment, Point, figures};
+use super::{Axis, Curve, Experiment, Point, figures};
+use crate::LabError;
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::networks;
 use tmpi_pipeline::photo::Limits;
@@ -31,7 +32,7 @@ fn megapixels(made: &Made) -> f64 {
 }
 
 /// Fits the costs to the scenes.
-pub(super) fn fitted(bench: &Bench, scenes: &[Subject]) -> Result<Costs, BenchError> {
+pub(super) fn fitted(bench: &Bench, scenes: &[Subject]) -> Result<Costs, LabError> {
     let mut costs = Costs::default();
     let mut before = Vec::new();
     let mut points = Vec::new();
@@ -54,7 +55,7 @@ pub(super) fn fitted(bench: &Bench, scenes: &[Subject]) -> Result<Costs, BenchEr
     (costs.plain, costs.points) = fit(&FACTORS, &points);
     if let (true, Some(s)) = (networks::available().is_ok(), scenes.first()) {
         // two sizes separate the fixed cost from the cost per pixel
-        let ms = |max_size: Option<u32>| -> Result<(f64, f64), BenchError> {
+        let ms = |max_size: Option<u32>| -> Result<(f64, f64), LabError> {
             let runs = bench.runs(s, &Depth::Estimated, &Options { max_size, ..Options::default() })?;
             Ok((runs.first().map_or(1.0, megapixels), median_of(&runs, |m| stages(m, &BEFORE))))
         };
@@ -67,14 +68,14 @@ pub(super) fn fitted(bench: &Bench, scenes: &[Subject]) -> Result<Costs, BenchEr
 }
 
 /// Runs with several budgets, with the built-in costs or those that `TMPI_COSTS` names.
-pub(super) fn kept(bench: &Bench, scenes: &[Subject]) -> Result<Experiment, BenchError> {
+pub(super) fn kept(bench: &Bench, scenes: &[Subject]) -> Result<Experiment, LabError> {
     let mut curves = Vec::new();
     for s in scenes.iter().take(3) {
-        let map = s.disparity.as_deref().map(tmpi_pipeline::depth::to_png).transpose().map_err(|e| BenchError::Picture(e.to_string()))?;
+        let map = s.disparity.as_deref().map(tmpi_pipeline::depth::to_png).transpose()?;
         let make = |budget_ms: Option<f64>| {
             let options = Options { budget_ms, fov_x: s.fov_x, ..Options::default() };
             tmpi_pipeline::make(bench.models, &Limits::default(), &s.file, map.as_deref(), &options, &Silent)
-                .map_err(|source| BenchError::Make { subject: s.name.clone(), source })
+                .map_err(|source| LabError::Make { subject: s.name.clone(), source })
         };
         let mut points: Vec<Point> = Vec::new();
         for asked in [25.0, 50.0, 100.0, 200.0, 500.0] {

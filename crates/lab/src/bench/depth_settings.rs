@@ -1,9 +1,10 @@
 //! What can be set of the depth network.
 
-use super::experiments::{self, Plan, Set, brief};
+use super::experiments::{Plan, Set, brief};
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Log};
+use super::{Axis, Log};
+use crate::LabError;
 use tmpi_pipeline::Options;
 use tmpi_pipeline::networks::{self, models};
 
@@ -14,20 +15,16 @@ const ERROR: Axis = Axis::new("disparity error, 1e-3", false, Some(false));
 type Make = fn(&models::Settings, bool) -> Plan;
 
 /// Experiments on what the depth network makes of subjects whose disparity is known.
-pub(super) fn run(bench: &Bench, subjects: &[Subject], log: &mut Log) -> Result<(), BenchError> {
+pub(super) fn run(bench: &Bench, subjects: &[Subject], log: &mut Log) -> Result<(), LabError> {
     if let Err(reason) = networks::available() {
         log.skip(format!("depth network: {}", brief(&reason)));
         return Ok(());
     }
     let plans: [(&str, Make); 4] = [("depth", pixels), ("depth-smoothing", smoothing), ("depth-ramp", ramp), ("depth-mirror", mirror)];
-    for (id, plan) in plans {
-        // a plan loads networks
-        if log.wants(id) {
-            let plan = plan(&log.settings.networks, log.settings.quick);
-            experiments::run(bench, subjects, Plan { id, ..plan }, log)?;
-        }
-    }
-    Ok(())
+    let settings = log.settings;
+    // a plan loads networks
+    let run = |id, plan: Make| Plan { id, ..plan(&settings.networks, settings.flags.quick) }.run(bench, subjects);
+    plans.into_iter().try_for_each(|(id, plan)| log.run(id, || run(id, plan)))
 }
 
 /// The network with a setting changed; `None` if it cannot be loaded.

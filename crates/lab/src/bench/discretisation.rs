@@ -3,7 +3,8 @@
 use super::figures::{Figures, median};
 use super::measure::Bench;
 use super::subject::Subject;
-use super::{Axis, BenchError, Curve, Experiment, Point, experiments};
+use super::{Axis, Curve, Experiment, Point, experiments};
+use crate::LabError;
 use tmpi_core::{DisparityMap, Grid, Photo};
 use tmpi_pipeline::MakeError;
 use tmpi_pipeline::denoise::{local_planes, median_guided, theta};
@@ -44,7 +45,7 @@ fn cleaned(bench: &Bench, how: Cleaning, photo: &Photo, map: &DisparityMap) -> R
 }
 
 /// Fits planes to clean and damaged maps, and measures their error against the clean map.
-pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, BenchError> {
+pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
     let methods = [("linear", Method::Linear), ("lloyd", Method::Lloyd), ("optimal", Method::Optimal), ("slanted", Method::Slanted)];
     let mut settings: Vec<(String, Placement, Cleaning)> =
         methods.iter().map(|&(name, m)| (format!("{name}, {PLANES} planes"), Placement::fixed(m, PLANES), Cleaning::Off)).collect();
@@ -85,11 +86,11 @@ fn point(
     subjects: &[Subject],
     setting: &str,
     (placement, cleaning, damage): (&Placement, Cleaning, fn(&DisparityMap) -> DisparityMap),
-) -> Result<Point, BenchError> {
+) -> Result<Point, LabError> {
     let mut f = Figures::default();
     for s in subjects {
         let Some(clean) = &s.disparity else { continue };
-        let fail = |source| BenchError::Make { subject: s.name.clone(), source };
+        let fail = |source| LabError::Make { subject: s.name.clone(), source };
         let photo = photo::decode(&s.file, &Limits::default(), None).map_err(|e| fail(e.into()))?.photo;
         let (map, weights) = cleaned(bench, cleaning, &photo, &damage(clean)).map_err(fail)?;
         let grid = Grid::new(map.width, map.height, 64);

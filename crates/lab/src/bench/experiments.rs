@@ -2,7 +2,8 @@
 
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Curve, Experiment, Log, Point};
+use super::{Axis, Curve, Experiment, Log, Point};
+use crate::LabError;
 use tmpi_core::{DisparityMap, ViewBox};
 use tmpi_pipeline::networks;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, TileSize};
@@ -46,7 +47,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    fn run(self, bench: &Bench, subjects: &[Subject]) -> Result<Experiment, BenchError> {
+    /// Measures each setting on all subjects.
+    pub fn run(self, bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
         let (x, y) = self.axes;
         let mut curves = Vec::new();
         for (name, settings) in self.curves {
@@ -256,8 +258,8 @@ pub(super) fn brief(reason: &impl std::fmt::Display) -> String {
 }
 
 /// Runs the experiments on scenes with exact views.
-pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Result<(), BenchError> {
-    let quick = log.settings.quick;
+pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Result<(), LabError> {
+    let quick = log.settings.flags.quick;
     // warm-up: the first run of a process pays for threads and memory
     bench.figures(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), 0)?;
     let mut plans =
@@ -268,19 +270,11 @@ pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Res
     } else {
         plans.push(denoise(bench.models.theta.is_some()));
     }
-    plans.into_iter().try_for_each(|plan| run(bench, scenes, plan, log))
-}
-
-/// Runs an experiment if it is asked for.
-pub(super) fn run(bench: &Bench, subjects: &[Subject], plan: Plan, log: &mut Log) -> Result<(), BenchError> {
-    if !log.starts(plan.id) {
-        return Ok(());
-    }
-    log.add(plan.run(bench, subjects)?)
+    plans.into_iter().try_for_each(|plan| log.run(plan.id, || plan.run(bench, scenes)))
 }
 
 /// Runs the experiments on photos with estimated disparity.
-pub(super) fn on_photos(bench: &Bench, photos: &[Subject], log: &mut Log) -> Result<(), BenchError> {
+pub(super) fn on_photos(bench: &Bench, photos: &[Subject], log: &mut Log) -> Result<(), LabError> {
     if let Err(reason) = networks::available() {
         log.skip(format!("photos: {}", brief(&reason)));
         return Ok(());
@@ -289,5 +283,5 @@ pub(super) fn on_photos(bench: &Bench, photos: &[Subject], log: &mut Log) -> Res
     if let Some((_, by_error)) = plan.curves.last_mut() {
         *by_error = errors(true);
     }
-    run(bench, photos, plan, log)
+    log.run(plan.id, || plan.run(bench, photos))
 }

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::BenchError;
 use super::figures::{Figures, median};
 use super::subject::Subject;
+use crate::LabError;
 use crate::metrics::{self, ssim_map};
 use crate::oracle_depth::OracleDepth;
 use tmpi_core::container;
@@ -18,8 +18,6 @@ use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Made, Models, Options};
 use tmpi_render::{Cpu, Renderer, View};
 
-/// Fraction of a view that is cropped on each side, as in the paper.
-const CROP: f64 = 0.15;
 /// Stages excluded from the processing time: no option changes them, or they only measure.
 const APART: [&str; 3] = ["photo", "depth", "verify"];
 
@@ -51,7 +49,7 @@ impl Bench<'_> {
     }
 
     /// Runs a setting on all subjects, and measures the container at `1 / 2^level` of its size.
-    pub fn figures(&self, subjects: &[Subject], depth: &Depth, options: &Options, level: u8) -> Result<Figures, BenchError> {
+    pub fn figures(&self, subjects: &[Subject], depth: &Depth, options: &Options, level: u8) -> Result<Figures, LabError> {
         let mut figures = Figures::default();
         for s in subjects {
             self.add_figures(&mut figures, s, (depth, options, level))?;
@@ -60,7 +58,7 @@ impl Bench<'_> {
     }
 
     /// Processes a subject as often as configured.
-    pub fn runs(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<Made>, BenchError> {
+    pub fn runs(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<Made>, LabError> {
         let options = Options { fov_x: options.fov_x.or(s.fov_x), ..options.clone() };
         let mut models = self.models.clone();
         let map = match (depth, &s.disparity) {
@@ -76,16 +74,16 @@ impl Bench<'_> {
             }
             _ => None,
         };
-        let file = map.map(|d| tmpi_pipeline::depth::to_png(&d)).transpose().map_err(|e| BenchError::Picture(e.to_string()))?;
+        let file = map.map(|d| tmpi_pipeline::depth::to_png(&d)).transpose()?;
         let mut runs: Vec<Made> = Vec::with_capacity(self.repeats);
         for _ in 0..self.repeats {
             let made = tmpi_pipeline::make(&models, &Limits::default(), &s.file, file.as_deref(), &options, &Silent);
-            runs.push(made.map_err(|source| BenchError::Make { subject: s.name.clone(), source })?);
+            runs.push(made.map_err(|source| LabError::Make { subject: s.name.clone(), source })?);
         }
         Ok(runs)
     }
 
-    fn add_figures(&self, f: &mut Figures, s: &Subject, (depth, options, level): (&Depth, &Options, u8)) -> Result<(), BenchError> {
+    fn add_figures(&self, f: &mut Figures, s: &Subject, (depth, options, level): (&Depth, &Options, u8)) -> Result<(), LabError> {
         let runs = self.runs(s, depth, options)?;
         let stages = |included: &dyn Fn(&str) -> bool, cpu: bool| {
             let of = |r: &Made| r.report.stages.iter().filter(|s| included(&s.name)).map(|s| if cpu { s.cpu_ms } else { s.ms }).sum();
@@ -131,7 +129,7 @@ impl Bench<'_> {
 }
 
 /// Mean PSNR, SSIM and L1 of all exact views.
-fn views(s: &Subject, scene: &Arc<Scene>) -> Result<[f64; 3], BenchError> {
+fn views(s: &Subject, scene: &Arc<Scene>) -> Result<[f64; 3], LabError> {
     let cpu = Cpu::default();
     let drawn = s.views.iter().map(|(camera, _)| cpu.render(scene, camera)).collect::<Result<Vec<_>, _>>()?;
     let scores: Vec<[f64; 3]> = drawn.par_iter().zip(&s.views).map(|(view, (_, want))| score(view, want)).collect();
@@ -143,14 +141,11 @@ pub(super) fn score(view: &View, want: &Photo) -> [f64; 3] {
     compared(&view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect::<Vec<_>>(), want)
 }
 
-/// PSNR, SSIM and L1 (of values from 0 to 1), without [`CROP`] on each side.
+/// PSNR, SSIM and L1 (of values from 0 to 1), without [`metrics::CROP`] on each side.
 pub(crate) fn compared(got: &[[u8; 3]], want: &Photo) -> [f64; 3] {
-    let (w, h) = (want.width as usize, want.height as usize);
-    let (x, y) = ((w as f64 * CROP) as usize, (h as f64 * CROP) as usize);
-    let cut = |p: &[[u8; 3]]| -> Vec<[u8; 3]> { p.chunks(w).skip(y).take(h - 2 * y).flat_map(|row| row[x..w - x].to_vec()).collect() };
-    let map = ssim_map(got, &want.rgb, w);
-    let ssim: Vec<f32> = map.chunks(w).skip(y).take(h - 2 * y).flat_map(|row| row[x..w - x].to_vec()).collect();
-    let (a, b) = (cut(got), cut(&want.rgb));
+    let width = want.width as usize;
+    let ssim = metrics::cropped(&ssim_map(got, &want.rgb, width), width);
+    let (a, b) = (metrics::cropped(got, width), metrics::cropped(&want.rgb, width));
     let l1 = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / (a.len() * 3).max(1) as f64;
     [
         metrics::psnr(a.as_flattened(), b.as_flattened()),

@@ -16,37 +16,49 @@ mod measure;
 mod page;
 mod photo_size;
 mod plot;
-mod report_cost;
 mod snapping;
 mod subject;
-mod tile_sizes;
 
 use std::borrow::Cow;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::LabError;
 pub(crate) use figures::Figures;
 use log::Log;
 pub use machine::Machine;
 pub(crate) use measure::compared;
 pub use page::html;
+use tmpi_pipeline::Models;
 use tmpi_pipeline::run::time_budget::Costs;
-use tmpi_pipeline::{MakeError, Models};
+
+/// What a benchmark measures.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Flags {
+    /// Folder for index.html, results.json, and costs.json, which `make --budget-ms` reads if `TMPI_COSTS` names it. All are written after
+    /// each experiment
+    #[arg(short, long, default_value = "bench", value_name = "DIR")]
+    pub output: PathBuf,
+    /// Use fewer scenes and settings; takes a few minutes
+    #[arg(long)]
+    pub quick: bool,
+    /// Also measure the photos in this folder; repeatable. `NAME_disp16.png` beside `NAME.jpg` is the photo's disparity
+    #[arg(long, value_name = "DIR")]
+    pub photos: Vec<PathBuf>,
+    /// Run only these experiments
+    #[arg(long, value_delimiter = ',', value_parser = EXPERIMENTS, value_name = "NAME,…")]
+    pub only: Vec<String>,
+    /// Keep the experiments of an earlier run that are in the folder, and run only the others
+    #[arg(long)]
+    pub resume: bool,
+}
 
 /// Settings of a benchmark.
 #[derive(Clone)]
 pub struct Settings {
-    /// Uses fewer scenes, fewer repeats and smaller pictures; takes minutes.
-    pub quick: bool,
-    /// Folders of photos to measure in addition to rendered scenes.
-    pub photos: Vec<PathBuf>,
-    /// Experiments to run, from [`EXPERIMENTS`]; empty: all.
-    pub only: Vec<String>,
-    /// Folder for `index.html`, `results.json` and `costs.json`.
-    pub output: PathBuf,
-    /// Keeps the experiments of the folder's `results.json`, and runs only the others.
-    pub resume: bool,
+    /// What it measures.
+    pub flags: Flags,
     /// The networks.
     pub models: Models,
     /// Settings that the networks were loaded with; an experiment varies those of the depth network.
@@ -54,9 +66,8 @@ pub struct Settings {
 }
 
 /// Short names of the experiments.
-pub const EXPERIMENTS: [&str; 22] = [
+pub const EXPERIMENTS: [&str; 20] = [
     "scaling",
-    "efficiency",
     "max-error",
     "planes",
     "tiles",
@@ -76,7 +87,6 @@ pub const EXPERIMENTS: [&str; 22] = [
     "photos",
     "discretisation",
     "budget",
-    "measuring",
 ];
 
 /// A measured setting: means over all subjects.
@@ -167,85 +177,38 @@ pub struct Results {
     pub seconds: f64,
 }
 
-/// Why a benchmark failed.
-#[derive(Debug, thiserror::Error)]
-pub enum BenchError {
-    /// A photo could not be processed.
-    #[error("cannot process {subject}")]
-    Make {
-        /// Scene or photo.
-        subject: String,
-        /// The error.
-        source: MakeError,
-    },
-    /// A view could not be rendered.
-    #[error(transparent)]
-    Render(#[from] tmpi_render::RenderError),
-    /// A container could not be decoded.
-    #[error(transparent)]
-    Atlas(#[from] tmpi_core::container::ContainerError),
-    /// A scene could not be encoded as a picture.
-    #[error("cannot write a scene: {0}")]
-    Picture(String),
-    /// A folder or a file cannot be used.
-    #[error("{path}: {reason}")]
-    File {
-        /// The path.
-        path: PathBuf,
-        /// The reason.
-        reason: String,
-    },
-}
-
 /// Runs the experiments, and writes the results to the folder after each; calls `progress` with the name of each.
 ///
 /// # Errors
-/// [`BenchError`].
-pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, BenchError> {
+/// [`LabError`].
+pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabError> {
     let mut log = Log::new(settings, progress)?;
-    let (quick, repeats) = (settings.quick, log.results.repeats);
+    let (quick, repeats) = (settings.flags.quick, log.results.repeats);
     if log.starts("scaling") {
         match photo_size::run(quick) {
             Ok(both) => both.into_iter().try_for_each(|e| log.add(e))?,
             Err(reason) => log.skip(format!("scaling: {reason}")),
         }
     }
-    if log.starts("efficiency") {
-        match tile_sizes::table(repeats) {
-            Ok(experiment) => log.add(experiment)?,
-            Err(reason) => log.skip(format!("efficiency: {reason}")),
-        }
-    }
     progress("rendering scenes");
-    let scenes = subject::rendered(quick)?;
-    let photos = subject::photos(&settings.photos, quick)?;
+    let scenes = subject::rendered(quick);
+    let photos = subject::photos(&settings.flags.photos, quick)?;
     log.results.subjects = scenes.iter().chain(&photos).map(|s| s.name.clone()).collect();
     let bench = measure::Bench { models: &settings.models, repeats };
     let known = photos.iter().any(|p| p.disparity.is_some());
     let measured = if known { &photos } else { &scenes };
     experiments::on_scenes(&bench, &scenes, &mut log)?;
     depth_settings::run(&bench, measured, &mut log)?;
-    if log.starts("ramps") {
-        log.add(snapping::run(&bench, &scenes)?)?;
-    }
-    if log.starts("without") {
-        log.add(ablation::steps(&bench, &scenes)?)?;
-    }
-    if log.starts("labels") {
-        log.add(ablation::labels(&scenes, quick)?)?;
-    }
+    log.run("ramps", || snapping::run(&bench, &scenes))?;
+    log.run("without", || ablation::steps(&bench, &scenes))?;
+    log.run("labels", || ablation::labels(&scenes, quick))?;
     if !photos.is_empty() {
         experiments::on_photos(&bench, &photos, &mut log)?;
     }
-    if log.starts("discretisation") {
-        log.add(discretisation::run(&bench, measured)?)?;
-    }
+    log.run("discretisation", || discretisation::run(&bench, measured))?;
     if log.starts("budget") {
         log.results.costs = Some(costs::fitted(&bench, &scenes)?);
         log.add(costs::kept(&bench, &scenes)?)?;
-    }
-    if log.starts("measuring") {
-        log.add(report_cost::run(&bench, &scenes, quick)?)?;
     }
     log.write()?;
     Ok(log.results)

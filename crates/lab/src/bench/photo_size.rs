@@ -1,13 +1,11 @@
 //! Time and peak memory by photo size.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder};
-
-use super::{Axis, BenchError, Curve, Experiment, Point, figures};
-use crate::scenes;
+use super::{Axis, Curve, Experiment, Point, figures};
+use crate::{LabError, files, scenes};
+use tmpi_core::container::encode_jpeg;
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::depth::to_png;
@@ -17,7 +15,7 @@ use tmpi_pipeline::photo::resize;
 const BASE: (u32, u32) = (1200, 800);
 
 /// Time and memory of `tmpi make` by photo size.
-pub(super) fn run(quick: bool) -> Result<[Experiment; 2], BenchError> {
+pub(super) fn run(quick: bool) -> Result<[Experiment; 2], LabError> {
     let megapixels: &[f64] = if quick { &[0.2, 0.8, 3.0, 12.0] } else { &[0.2, 0.5, 1.0, 3.0, 6.0, 12.0, 24.0, 49.9] };
     let reports = measured(megapixels)?;
     Ok([
@@ -55,88 +53,38 @@ fn experiment(id: &str, title: &str, y: &'static str, reports: &[Report], value:
     }
 }
 
-/// Runs `tmpi make` in separate processes, in a temporary folder.
-pub(super) struct ProcessRunner {
-    folder: PathBuf,
-    program: PathBuf,
-}
-
-impl ProcessRunner {
-    /// Creates the folder.
-    pub fn new() -> Result<Self, BenchError> {
-        let folder = std::env::temp_dir().join(format!("tmpi-bench-{}", std::process::id()));
-        let bad = |e: std::io::Error| BenchError::File { path: folder.clone(), reason: e.to_string() };
-        std::fs::create_dir_all(&folder).map_err(bad)?;
-        let program = program().map_err(bad)?;
-        Ok(Self { folder, program })
+/// Runs `tmpi make` in a new process, because the peak memory of a process never decreases.
+fn report(program: &Path, folder: &Path, photo: &Photo, disparity: &DisparityMap) -> Result<Report, LabError> {
+    let [file, depth, out, report] = ["p.jpg", "d.png", "o.tmpi", "r.json"].map(|name| folder.join(name));
+    files::write(&file, &encode_jpeg(photo.width, photo.height, photo.rgb.as_flattened(), 85)?)?;
+    files::write(&depth, &to_png(disparity)?)?;
+    let mut command = Command::new(program);
+    command.args(["make", "--force", "--quiet"]).arg(file).arg("--depth").arg(depth).arg("-o").arg(out).arg("--report").arg(&report);
+    let status = command.stdout(Stdio::null()).status().map_err(|e| LabError::file(program, e))?;
+    if !status.success() {
+        return Err(LabError::file(program, format!("`make`: {status}")));
     }
-
-    fn bad(&self, reason: &dyn std::fmt::Display) -> BenchError {
-        BenchError::File { path: self.folder.clone(), reason: reason.to_string() }
-    }
-
-    /// Writes the photo and disparity map for [`ProcessRunner::make`].
-    pub fn put(&self, photo: &Photo, disparity: &DisparityMap) -> Result<(), BenchError> {
-        let mut file = Vec::new();
-        JpegEncoder::new_with_quality(&mut file, 85)
-            .write_image(photo.rgb.as_flattened(), photo.width, photo.height, ExtendedColorType::Rgb8)
-            .map_err(|e| self.bad(&e))?;
-        std::fs::write(self.folder.join("p.jpg"), file).map_err(|e| self.bad(&e))?;
-        let map = to_png(disparity).map_err(|e| self.bad(&e))?;
-        std::fs::write(self.folder.join("d.png"), map).map_err(|e| self.bad(&e))
-    }
-
-    /// Processes the photo in a new process, because the peak memory of a process never decreases.
-    pub fn make(&self, arguments: &[&str]) -> Result<Report, BenchError> {
-        let [photo, depth, out, report] = ["p.jpg", "d.png", "o.tmpi", "r.json"].map(|name| self.folder.join(name));
-        let mut command = Command::new(&self.program);
-        command
-            .args(["make", "--force"])
-            .arg(photo)
-            .arg("--depth")
-            .arg(depth)
-            .arg("-o")
-            .arg(out)
-            .arg("--report")
-            .arg(&report)
-            .args(arguments);
-        let status = command.arg("--quiet").stdout(Stdio::null()).status().map_err(|e| self.bad(&e))?;
-        if !status.success() {
-            return Err(self.bad(&format!("`tmpi make` with {arguments:?}: {status}")));
-        }
-        let text = std::fs::read(&report).map_err(|e| self.bad(&e))?;
-        serde_json::from_slice(&text).map_err(|e| self.bad(&e))
-    }
+    files::read_json(&report)
 }
 
 /// Path of the program `tmpi`: the variable `TMPI`, otherwise the program beside this one.
-fn program() -> std::io::Result<PathBuf> {
+fn program() -> Result<PathBuf, LabError> {
     if let Some(named) = std::env::var_os("TMPI").filter(|v| !v.is_empty()) {
         return Ok(named.into());
     }
-    let path = std::env::current_exe()?.with_file_name(format!("tmpi{}", std::env::consts::EXE_SUFFIX));
-    if path.is_file() {
-        return Ok(path);
-    }
-    let reason = format!("{} does not exist: run `cargo build --release`, or set TMPI to the program", path.display());
-    Err(std::io::Error::new(std::io::ErrorKind::NotFound, reason))
+    let own = std::env::current_exe().map_err(|e| LabError::file(Path::new("tmpi"), e))?;
+    let path = own.with_file_name(format!("tmpi{}", std::env::consts::EXE_SUFFIX));
+    if path.is_file() { Ok(path) } else { Err(LabError::file(&path, "run `cargo build --release`, or set TMPI to the program")) }
 }
 
-impl Drop for ProcessRunner {
-    fn drop(&mut self) {
-        // ignore failures: the folder is temporary
-        let _ = std::fs::remove_dir_all(&self.folder);
-    }
-}
-
-fn measured(megapixels: &[f64]) -> Result<Vec<Report>, BenchError> {
+fn measured(megapixels: &[f64]) -> Result<Vec<Report>, LabError> {
     let scene = scenes::Scene::framed(900_100, BASE.0, BASE.1);
     let picture = scene.render(&scene.camera(), 1);
-    let runner = ProcessRunner::new()?;
+    let (program, folder) = (program()?, tempfile::tempdir().map_err(|e| LabError::file(&std::env::temp_dir(), e))?);
     let one = |mp: &f64| {
         let width = (mp * 1e6 * 1.5).sqrt().round();
-        runner.put(&resize(&picture.photo, width as u32, (width / 1.5).round() as u32), &picture.disparity)?;
-        runner.make(&[])
+        let photo = resize(&picture.photo, width as u32, (width / 1.5).round() as u32);
+        report(&program, folder.path(), &photo, &picture.disparity)
     };
     megapixels.iter().map(one).collect()
 }

@@ -2,7 +2,8 @@
 
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Curve, Experiment, Point, experiments, figures};
+use super::{Axis, Curve, Experiment, Point, experiments, figures};
+use crate::LabError;
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::depth;
 use tmpi_pipeline::edges;
@@ -12,7 +13,7 @@ use tmpi_pipeline::{Options, Switch};
 type Damage = fn(&DisparityMap) -> DisparityMap;
 
 /// One point per scene and kind of damage: the fraction of ramps, and the gain of views by snapping.
-pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, BenchError> {
+pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
     let damages: [(&str, Damage); 4] = [
         ("exact disparity", DisparityMap::clone),
         ("halved and enlarged", depth::halved),
@@ -24,7 +25,7 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, Ben
         let mut points = Vec::new();
         for subject in subjects {
             let Some(exact) = &subject.disparity else { continue };
-            let view = |snap: Switch| -> Result<f64, BenchError> {
+            let view = |snap: Switch| -> Result<f64, LabError> {
                 let options = Options { snap, ..Options::default() };
                 Ok(bench.figures(std::slice::from_ref(subject), &Depth::Given(damage), &options, 0)?.mean("view, dB"))
             };

@@ -3,15 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::ExtendedColorType;
 
-use super::BenchError;
-use crate::scenes;
+use crate::{LabError, files, scenes};
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Camera, DisparityMap, Photo, Pose};
 use tmpi_pipeline::depth::{self, DepthKind};
 use tmpi_pipeline::photo::Limits;
+use tmpi_testing::pictures::png;
 
 /// First seed of the benchmark's scenes, far from those that networks were trained on.
 const SEED: u64 = 900_000;
@@ -33,12 +32,12 @@ pub(super) struct Subject {
 }
 
 /// Rendered scenes with four views each: moved sideways, vertically, forward, and all combined with a rotation.
-pub(super) fn rendered(quick: bool) -> Result<Vec<Subject>, BenchError> {
+pub(super) fn rendered(quick: bool) -> Vec<Subject> {
     let (count, size) = if quick { (4, (384, 256)) } else { (16, (630, 350)) };
     (0..count).map(|i| scene(SEED + i, size)).collect()
 }
 
-fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> {
+fn scene(seed: u64, (width, height): (u32, u32)) -> Subject {
     let scene = scenes::Scene::framed(seed, width, height);
     let camera = scene.camera();
     let side = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
@@ -52,31 +51,15 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> 
         let c = Camera { pose, ..camera };
         (c, scene.render(&c, SAMPLES).photo)
     });
-    Ok(Subject { views: views.into(), ..photo_of(&scene, seed, (width, height))? })
-}
-
-/// A scene's photo and disparity, without views.
-fn photo_of(scene: &scenes::Scene, seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> {
-    let camera = scene.camera();
     let picture = scene.render(&camera, SAMPLES);
-    let mut file = Vec::new();
-    PngEncoder::new(&mut file)
-        .write_image(picture.photo.rgb.as_flattened(), width, height, ExtendedColorType::Rgb8)
-        .map_err(|e| BenchError::Picture(e.to_string()))?;
-    Ok(Subject {
+    Subject {
         name: format!("{} {seed}", scene.family()),
-        file,
+        file: png(width, height, picture.photo.rgb.as_flattened(), ExtendedColorType::Rgb8),
         disparity: Some(Arc::new(picture.disparity)),
         seed: Some(seed),
         fov_x: Some(camera.intrinsics.fov_x(width)),
-        views: Vec::new(),
-    })
-}
-
-/// Renders one scene at a given size, without views.
-pub(super) fn large((width, height): (u32, u32)) -> Result<Subject, BenchError> {
-    let scene = scenes::Scene::framed(SEED, width, height);
-    Ok(Subject { name: format!("{width}×{height}"), ..photo_of(&scene, SEED, (width, height))? })
+        views: views.into(),
+    }
 }
 
 /// The second surface of a rendered scene: what lies behind the visible one.
@@ -86,39 +69,34 @@ pub(super) fn hidden(seed: u64, (width, height): (u32, u32)) -> scenes::Picture 
 }
 
 /// Reads the disparity map `NAME_disp16.png` beside a photo `NAME.jpg`, if it exists.
-fn beside(photo: &Path, file: &[u8]) -> Result<Option<DisparityMap>, BenchError> {
+fn beside(photo: &Path, file: &[u8]) -> Result<Option<DisparityMap>, LabError> {
     let map = photo.with_file_name(format!("{}{MAP}", photo.file_stem().unwrap_or_default().to_string_lossy()));
     let Ok(png) = std::fs::read(&map) else { return Ok(None) };
-    let bad = |e: &dyn std::fmt::Display| BenchError::File { path: map.clone(), reason: e.to_string() };
-    let (width, height) = tmpi_pipeline::photo::check(file, &Limits::default()).map_err(|e| bad(&e))?.1;
-    depth::from_map(&png, DepthKind::Disparity, &Limits::default(), width, height).map(|(map, _)| Some(map)).map_err(|e| bad(&e))
+    let (width, height) = tmpi_pipeline::photo::check(file, &Limits::default()).map_err(|e| LabError::file(photo, e))?.1;
+    let read = depth::from_map(&png, DepthKind::Disparity, &Limits::default(), width, height);
+    read.map(|(map, _)| Some(map)).map_err(|e| LabError::file(&map, e))
 }
 
 /// Suffix of the name of a disparity map beside a photo.
 const MAP: &str = "_disp16.png";
 
 /// Reads all photos in the folders, sorted by name; with `quick`, only four of each folder.
-pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, BenchError> {
+pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, LabError> {
     let mut all = Vec::new();
     for folder in folders {
-        let bad = |path: &std::path::Path, e: std::io::Error| BenchError::File { path: path.to_owned(), reason: e.to_string() };
-        let entries = std::fs::read_dir(folder).map_err(|e| bad(folder, e))?;
-        let mut files = entries.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(|e| bad(folder, e))?;
-        files.sort();
         let mut found = 0;
         let map = |p: &PathBuf| p.to_string_lossy().ends_with(MAP);
-        for path in files.into_iter().filter(|p| p.is_file() && !map(p)) {
-            let file = std::fs::read(&path).map_err(|e| bad(&path, e))?;
+        for path in files::entries(folder)?.into_iter().filter(|p| p.is_file() && !map(p)) {
+            let file = files::read(&path)?;
             if PhotoFormat::sniff(&file).is_none() || (quick && found == 4) {
                 continue;
             }
             found += 1;
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let disparity = beside(&path, &file)?.map(Arc::new);
-            all.push(Subject { name, file, disparity, seed: None, fov_x: None, views: Vec::new() });
+            all.push(Subject { name: files::name(&path), file, disparity, seed: None, fov_x: None, views: Vec::new() });
         }
         if found == 0 {
-            return Err(BenchError::File { path: folder.clone(), reason: "contains no photo".into() });
+            return Err(LabError::file(folder, "contains no photo"));
         }
     }
     Ok(all)

@@ -1,10 +1,10 @@
 //! `tmpi-lab check`.
 
-use std::fmt::Write;
 use std::path::PathBuf;
 
 use super::result;
-use tmpi_lab::conformance::{self, Checked, Kernel, Verdict};
+use tmpi_lab::conformance::{self, Case, Checked, Kernel, Verdict};
+use tmpi_lab::table::{row, table};
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
@@ -30,52 +30,28 @@ pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
         conformance::run_on_photos(&args.photos, &models::load(&args.models.settings())?)
     };
     drop(std::panic::take_hook());
-    result(&if args.json { serde_json::to_string_pretty(&checked)? } else { table(&checked) })?;
+    result(&if args.json { serde_json::to_string_pretty(&checked)? } else { text(&checked) })?;
     let failed = checked.failed();
     anyhow::ensure!(failed == 0, "{failed} of {} cases failed", checked.cases.len());
     Ok(())
 }
 
-fn table(checked: &Checked) -> String {
-    let widest = |f: &dyn Fn(&conformance::Case) -> usize| checked.cases.iter().map(f).max().unwrap_or(0);
-    let name = widest(&|c| c.name.chars().count());
-    let (family, subject) = (widest(&|c| c.family.len()), widest(&|c| c.subject.len()));
-    let mut out = format!("{:family$}  {:name$}  {:subject$}  {:>9}  {:>9}  verdict  unit\n", "family", "case", "of", "bound", "error");
-    for c in &checked.cases {
-        let number = |v: f64| if v == 0.0 || (1e-3..1e4).contains(&v) { format!("{v:.3}") } else { format!("{v:.1e}") };
-        let error = c.error.map_or("none".into(), number);
+fn text(checked: &Checked) -> String {
+    let number = |v: f64| if v == 0.0 || (1e-3..1e4).contains(&v) { format!("{v:.3}") } else { format!("{v:.1e}") };
+    let case = |c: &Case| {
         let verdict = if c.verdict == Verdict::Ok { "ok" } else { "FAIL" };
-        // writing to a String cannot fail
-        let _ = writeln!(
-            out,
-            "{:family$}  {:name$}  {:subject$}  {:>9}  {error:>9}  {verdict:7}  {}",
-            c.family,
-            c.name,
-            c.subject,
-            number(c.bound),
-            c.unit
-        );
-    }
-    for s in &checked.skipped {
-        let _ = writeln!(out, "skipped: {s}");
-    }
-    let _ = write!(out, "\n{}{} cases, {} failed", kernels(checked), checked.cases.len(), checked.failed());
-    out
-}
-
-/// A line for each kernel: how many cases, how near to their bounds, how long.
-fn kernels(checked: &Checked) -> String {
+        let error = c.error.map_or("none".into(), number);
+        vec![c.family.into(), c.name.clone(), c.subject.into(), verdict.into(), c.unit.into(), number(c.bound), error]
+    };
+    let cases = std::iter::once(row(["family", "case", "of", "verdict", "unit", "bound", "error"])).chain(checked.cases.iter().map(case));
+    let skipped: String = checked.skipped.iter().map(|s| ["skipped: ", s, "\n"].concat()).collect();
+    // for each kernel: how many cases, how near to their bounds, how long
+    let kernel = |k: &Kernel| {
+        let [cases, failed] = [k.cases, k.failed].map(|n| n.to_string());
+        vec![k.family.into(), k.subject.into(), cases, failed, format!("{:.2}", k.nearest), format!("{:.0}", k.ms)]
+    };
     let all = checked.kernels();
-    let widest = |f: &dyn Fn(&Kernel) -> usize| all.iter().map(f).max().unwrap_or(0);
-    let (family, subject) = (widest(&|k| k.family.len()), widest(&|k| k.subject.len()));
-    let mut out = format!("{:family$}  {:subject$}  cases  failed  error/bound       ms\n", "family", "of");
-    for k in &all {
-        // a String takes everything
-        let _ = writeln!(
-            out,
-            "{:family$}  {:subject$}  {:>5}  {:>6}  {:>11.2}  {:>7.0}",
-            k.family, k.subject, k.cases, k.failed, k.nearest, k.ms
-        );
-    }
-    out
+    let kernels = std::iter::once(row(["family", "of", "cases", "failed", "error/bound", "ms"])).chain(all.iter().map(kernel));
+    let [cases, kernels] = [table(5, &cases.collect::<Vec<_>>()), table(2, &kernels.collect::<Vec<_>>())];
+    format!("{cases}{skipped}\n{kernels}{} cases, {} failed", checked.cases.len(), checked.failed())
 }

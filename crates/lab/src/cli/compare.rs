@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde_json::json;
 
-use super::{read, result};
+use super::result;
+use tmpi_lab::files::read;
 use tmpi_lab::metrics::{flip, max_abs, psnr, share_off, ssim_map};
 
 /// A pixel counts as different above this many of 255 levels.

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::{note, result};
-use tmpi_lab::eval::{self, Depth, Settings};
+use tmpi_lab::eval::{self, Settings};
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
@@ -15,18 +15,8 @@ pub(super) struct EvalArgs {
     /// `NAME-right.jpg`, `NAME.left-right.jpg`)
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// Source of depth
-    #[arg(long, value_enum, default_value_t, value_name = "DEPTH")]
-    depth: Depth,
-    /// Run only these methods
-    #[arg(long, value_delimiter = ',', value_parser = eval::names(), value_name = "WAY,…")]
-    only: Vec<String>,
-    /// Also compute LPIPS with this network: an ONNX file with two inputs [1, 3, height, width] in −1 to 1
-    #[arg(long, value_name = "FILE.onnx")]
-    lpips: Option<PathBuf>,
-    /// Write the true views and those of each method to this folder
-    #[arg(long, value_name = "DIR")]
-    files: Option<PathBuf>,
+    #[command(flatten)]
+    settings: Settings,
     /// Print the results as JSON, for each scene
     #[arg(long)]
     json: bool,
@@ -36,7 +26,6 @@ pub(super) struct EvalArgs {
 
 pub(super) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     let models = models::load(&args.models.settings())?;
-    let settings = Settings { depth: args.depth, only: args.only.clone(), lpips: args.lpips.clone(), files: args.files.clone() };
-    let results = eval::run(&models, &args.folders, &settings, &|scene| note(&format!("tmpi-lab eval: {scene}")))?;
+    let results = eval::run(&models, &args.folders, &args.settings, &|scene| note(&format!("tmpi-lab eval: {scene}")))?;
     result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
 }

@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::{note, read, result};
+use super::{note, result};
+use tmpi_lab::files;
 use tmpi_lab::ghosts::{self, Pair};
+use tmpi_lab::table::{row, table};
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
@@ -29,7 +31,7 @@ pub(super) fn run(args: &GhostArgs) -> anyhow::Result<()> {
     for photo in photos {
         let name = photo.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         note(&format!("tmpi-lab ghosts: {name}"));
-        let pair = ghosts::of_photo(&models, &read(&photo)?)?;
+        let pair = ghosts::of_photo(&models, &name, &files::read(&photo)?)?;
         all.unmatted.add(pair.unmatted);
         all.made.add(pair.made);
         rows.push((name, pair));
@@ -38,10 +40,11 @@ pub(super) fn run(args: &GhostArgs) -> anyhow::Result<()> {
     if args.json {
         return result(&serde_json::to_string_pretty(&rows)?);
     }
-    result(&format!("{:<28}{:>8}{:>22}{:>18}", "", "places", "without matting", "with"))?;
-    for (name, Pair { unmatted, made }) in rows {
-        let of = |g: ghosts::Ghosts| format!("{:>7.1} %{:>8.2}", 100.0 * g.share(), g.mean());
-        result(&format!("{name:<28}{:>8}    {} {}", unmatted.places, of(unmatted), of(made)))?;
-    }
-    result("seen, % of the places; residue, levels")
+    let mut lines = vec![row(["", "places", "without matting: seen, %", "residue, levels", "with: seen, %", "residue, levels"])];
+    lines.extend(rows.into_iter().map(|(name, Pair { unmatted, made })| {
+        let [[seen, residue], [seen_matted, residue_matted]] =
+            [unmatted, made].map(|g| [format!("{:.1}", 100.0 * g.share()), format!("{:.2}", g.mean())]);
+        vec![name, unmatted.places.to_string(), seen, residue, seen_matted, residue_matted]
+    }));
+    result(table(1, &lines).trim_end())
 }

@@ -10,10 +10,8 @@ mod psi_training_data;
 mod synth;
 
 use std::io::Write;
-use std::path::Path;
 use std::process::ExitCode;
 
-use anyhow::Context;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
@@ -50,7 +48,7 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Compare(args) => compare::run(&args),
         Command::Check(args) => check::run(&args),
-        Command::Bench(args) => bench::run(&args),
+        Command::Bench(args) => bench::run(args),
         Command::Eval(args) => eval::run(&args),
         Command::Ghosts(args) => ghosts::run(&args),
         Command::LiveBench(args) => live_bench::run(&args),
@@ -74,20 +72,6 @@ fn note(line: &str) {
 fn result(line: &str) -> anyhow::Result<()> {
     writeln!(std::io::stdout(), "{line}")?;
     Ok(())
-}
-
-/// Writes a file and creates missing folders.
-fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let context = || format!("writing {}", path.display());
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).with_context(context)?;
-    }
-    std::fs::write(path, bytes).with_context(context)
-}
-
-/// Reads a file.
-fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    std::fs::read(path).with_context(|| format!("reading {}", path.display()))
 }
 
 /// Parses a picture size, `WxH`, of at most `most` pixels.

@@ -11,6 +11,7 @@ use serde_json::json;
 
 use super::{note, psi_training_data, size};
 use tmpi_core::{Camera, Photo, Pose};
+use tmpi_lab::files;
 use tmpi_lab::scenes::{Assets, Model, Models, Picture, Pictures, Scene, Up};
 
 /// Render scenes with exact disparity, exact second views and the exact hidden surface
@@ -53,19 +54,10 @@ pub(super) struct SynthArgs {
     models: Option<PathBuf>,
     /// Which axis of the models points up
     #[arg(long, default_value = "y", value_name = "AXIS", requires = "models")]
-    models_up: UpAxis,
+    models_up: Up,
     /// Skip scenes whose folder is complete
     #[arg(long)]
     resume: bool,
-}
-
-/// The axis that points up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum UpAxis {
-    /// As in the glTF specification
-    Y,
-    /// As many exporters write it
-    Z,
 }
 
 /// Maximum number of pixels in a scene's picture.
@@ -93,8 +85,7 @@ fn varied_size(seed: u64) -> (u32, u32) {
 pub(super) fn run(args: &SynthArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let pictures = args.pictures.as_deref().map(read_pictures).transpose()?.unwrap_or_default();
-    let up = if args.models_up == UpAxis::Z { Up::Z } else { Up::Y };
-    let models = args.models.as_deref().map(|folder| read_models(folder, up)).transpose()?.unwrap_or_default();
+    let models = args.models.as_deref().map(|folder| read_models(folder, args.models_up)).transpose()?.unwrap_or_default();
     let assets = Assets { pictures, models };
     let families = (0..u64::from(args.count))
         .into_par_iter()
@@ -112,19 +103,11 @@ pub(super) fn run(args: &SynthArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Entries of a folder, sorted by name.
-fn files_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let listing = std::fs::read_dir(folder).with_context(|| format!("reading {}", folder.display()))?;
-    let mut files = listing.map(|e| Ok(e?.path())).collect::<anyhow::Result<Vec<_>>>()?;
-    files.sort();
-    Ok(files)
-}
-
 /// Reads all models in a folder, sorted by name. Names and skips those that cannot be read.
 fn read_models(folder: &Path, up: Up) -> anyhow::Result<Models> {
     let mut models = Vec::new();
-    for f in files_of(folder)?.iter().filter(|f| f.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"))) {
-        match Model::read(&std::fs::read(f).with_context(|| format!("reading {}", f.display()))?, up) {
+    for f in files::entries(folder)?.iter().filter(|f| f.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"))) {
+        match Model::read(&files::read(f)?, up) {
             Ok(model) => models.push(model),
             Err(e) => note(&format!("skipped {}: {e}", f.display())),
         }
@@ -136,7 +119,7 @@ fn read_models(folder: &Path, up: Up) -> anyhow::Result<Models> {
 /// Reads all photos in a folder, sorted by name. Ignores other files.
 fn read_pictures(folder: &Path) -> anyhow::Result<Pictures> {
     let mut photos = Vec::new();
-    for f in files_of(folder)? {
+    for f in files::entries(folder)? {
         if let Ok(p) = image::open(&f) {
             let p = p.to_rgb8();
             photos.push(Photo { width: p.width(), height: p.height(), rgb: p.pixels().map(|p| p.0).collect() });
@@ -177,7 +160,7 @@ fn write_scene(args: &SynthArgs, assets: &Assets, seed: u64, folder: &Path) -> a
         "views": views,
     });
     // written last: marks the folder as complete
-    std::fs::write(folder.join("scene.json"), serde_json::to_vec_pretty(&about)?)?;
+    files::write_json(&folder.join("scene.json"), &about)?;
     Ok(())
 }
 
@@ -243,7 +226,7 @@ mod tests {
             supersampling: 1,
             pictures: None,
             models: None,
-            models_up: UpAxis::Y,
+            models_up: Up::Y,
             resume: false,
         };
         run(&args)?;

@@ -3,12 +3,14 @@
 use std::sync::Arc;
 
 use tmpi_core::{Camera, Class, DisparityMap, Geometry, Intrinsics, LayerMasks, Pose, Scene, ViewBox, texture};
+use tmpi_pipeline::Options;
 use tmpi_pipeline::depth::upsample;
 use tmpi_pipeline::edges;
 use tmpi_pipeline::photo::{Decoded, Limits, decode};
 use tmpi_pipeline::planes::smooth_labels;
-use tmpi_pipeline::{Models, Options};
 use tmpi_render::{Cpu, RenderError, Renderer, View};
+
+use crate::oracle_depth;
 
 use super::{Checked, Hosts, Kernel, clustering, compositing, map_filters, matting, photos, quantisation, readers, views};
 
@@ -114,7 +116,7 @@ const FAULTS: &[Fault] = &[
     }),
     // the nearest layer of all is lost
     ("quantisation", &["container"], |c| {
-        let models = Models { depth: Arc::new(photos::Brightness), theta: None, psi: None };
+        let models = oracle_depth::models(photos::Brightness);
         let hole = |file: &[u8], options: &Options| {
             let mut scene = Scene::clone(&*photos::made(&models, file, options)?);
             scene.layers.pop();

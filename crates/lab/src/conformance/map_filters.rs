@@ -24,11 +24,11 @@ fn even(seed: u32) -> impl Fn(u32, u32) -> f32 {
 }
 
 fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
-    DisparityMap { width, height, delta: (0..width * height).map(|i| delta(i % width, i / width)).collect() }
+    DisparityMap::from_fn(width, height, delta)
 }
 
 fn grey(width: u32, height: u32, value: impl Fn(u32, u32) -> u8) -> Photo {
-    Photo { width, height, rgb: (0..width * height).map(|i| [value(i % width, i / width); 3]).collect() }
+    Photo::from_fn(width, height, |x, y| [value(x, y); 3])
 }
 
 /// Largest difference; infinite where sizes differ or something is no number.
@@ -157,10 +157,7 @@ pub(super) fn snap(checked: &mut Checked, subject: &'static str, kernel: impl Fn
 /// `kernel` brings a small map to the photo's size.
 pub(super) fn enlarge(checked: &mut Checked, kernel: impl Fn(&Photo, &DisparityMap) -> DisparityMap) {
     const FAMILY: &str = "enlarging";
-    let noise = |w: u32, h: u32| {
-        let pixel = |i: u32| [5, 6, 7].map(|seed| (even(seed)(i % w, i / w) * 255.0) as u8);
-        Photo { width: w, height: h, rgb: (0..w * h).map(pixel).collect() }
-    };
+    let noise = |w, h| Photo::from_fn(w, h, |x, y| [5, 6, 7].map(|seed| (even(seed)(x, y) * 255.0) as u8));
     let wild = |w, h| map(w, h, even(8));
     let cases: [(&str, Photo, DisparityMap); 8] = [
         ("noise in windows of 5", noise(500, 150), wild(500, 150)),

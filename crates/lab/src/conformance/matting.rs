@@ -84,7 +84,7 @@ impl Subject {
             let (share, [thing, wall]) = ((self.share)(x, y), [(self.thing)(x, y), (self.wall)(x, y)]);
             std::array::from_fn(|c| (thing[c] * share + wall[c] * (1.0 - share)).round() as u8)
         };
-        let photo = Photo { width: WIDTH, height: HEIGHT, rgb: (0..WIDTH * HEIGHT).map(|i| pixel(i % WIDTH, i / WIDTH)).collect() };
+        let photo = Photo::from_fn(WIDTH, HEIGHT, pixel);
         let coded = || {
             let bytes = encode_jpeg(WIDTH, HEIGHT, photo.rgb.as_flattened(), BLOCKS).ok()?;
             decode_picture(PhotoFormat::Jpeg, &bytes, (WIDTH, HEIGHT)).ok()

@@ -3,14 +3,14 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use image::codecs::webp::WebPEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::{ImageFormat, Rgb, RgbImage};
 use tmpi_testing::jpeg::{Jpeg, components, smooth};
-use tmpi_testing::pictures::{noise, waves};
+use tmpi_testing::pictures::{encoded, noise, waves};
 use tmpi_testing::png::{Png, chunk};
 
 use super::scenes::own_camera;
 use super::{Checked, Hosts};
+use crate::oracle_depth;
 use tmpi_core::container;
 use tmpi_core::{DisparityMap, Photo, Pose, Scene};
 use tmpi_pipeline::Silent;
@@ -40,14 +40,7 @@ type Sample = fn(usize, u32, u32) -> f64;
 
 /// A WebP animation of one frame of 16×8.
 fn animated() -> Vec<u8> {
-    let mut still = Vec::new();
-    // what cannot be written is an empty file, which fails its case
-    let _ = WebPEncoder::new_lossless(&mut still).write_image(
-        &[[200, 30, 90], [20, 90, 230]].repeat(64).concat(),
-        16,
-        8,
-        ExtendedColorType::Rgb8,
-    );
+    let still = encoded(RgbImage::from_fn(16, 8, |x, _| Rgb(if x % 2 == 0 { [200, 30, 90] } else { [20, 90, 230] })), ImageFormat::WebP);
     let mut out = b"RIFF\0\0\0\0WEBPVP8X\x0a\0\0\0\x02\0\0\0\x0f\0\0\x07\0\0ANIM\x06\0\0\0\0\0\0\0\0\0ANMF".to_vec();
     out.extend((16 + still.len() as u32 - 12).to_le_bytes());
     out.extend([0, 0, 0, 0, 0, 0, 0x0f, 0, 0, 0x07, 0, 0, 100, 0, 0, 0]);
@@ -96,7 +89,7 @@ fn readable() -> Vec<(String, Vec<u8>)> {
 }
 
 pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
-    let models = Models { depth: Arc::new(Brightness), theta: None, psi: None };
+    let models = oracle_depth::models(Brightness);
     for (name, file) in readable() {
         let scene = made(&models, &file, &Options::default());
         for host in &hosts.all {

@@ -6,10 +6,11 @@ use super::photos::{Brightness, identity, made};
 use super::scenes::own_camera;
 use super::views::{bound, wrong};
 use super::{Checked, Hosts, cast, cast_in_layer_order};
+use crate::oracle_depth;
 use tmpi_core::{Camera, DisparityMap, Plane, Pose, Scene, ViewBox};
 use tmpi_pipeline::depth::{DepthKind, from_map, to_png};
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{Models, Options, PlaneCount, PlaneMethod, TileSize};
+use tmpi_pipeline::{Options, PlaneCount, PlaneMethod, TileSize};
 use tmpi_render::{Cpu, Renderer};
 use tmpi_testing::pictures::waves;
 
@@ -17,7 +18,7 @@ use tmpi_testing::pictures::waves;
 const LAYERS: usize = tmpi_pipeline::planes::MAX_PLANES as usize + 1;
 
 pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
-    let models = Models { depth: Arc::new(Brightness), theta: None, psi: None };
+    let models = oracle_depth::models(Brightness);
     let make = |file: &[u8], options: &Options| made(&models, file, options);
     rounding(checked, Plane::quantised);
     sixteen_bits(checked, |map| {

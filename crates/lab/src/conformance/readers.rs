@@ -173,13 +173,12 @@ pub(super) fn inpainting(checked: &mut Checked, kernel: impl Fn(&Photo, &Geometr
     const WALL: [u8; 3] = [40, 50, 30];
     const HOLE: Label = |x, y| u8::from((x, y) != (50, 35));
     let colours = |geometry: &Geometry, label: Label, far: Paint| {
-        let (w, h) = (geometry.grid.width, geometry.grid.height);
         let pixel = |x: u32, y: u32| {
             // what touches an edge counts as mixed, and fills nothing: a far colour stands there, too
             let near = (x.saturating_sub(2)..x + 3).all(|x| (y.saturating_sub(2)..y + 3).all(|y| label(x, y) == 1));
             if near { [250; 3] } else { far(x, y) }
         };
-        Photo { width: w, height: h, rgb: (0..w * h).map(|i| pixel(i % w, i / w)).collect() }
+        Photo::from_fn(geometry.grid.width, geometry.grid.height, pixel)
     };
     let two = [FLAT(0.2), FLAT(0.8)];
     let cases: [Hidden; 5] = [

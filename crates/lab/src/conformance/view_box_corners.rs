@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::Checked;
 use super::scenes::own_camera;
+use crate::files;
 use tmpi_core::container;
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Scene, ViewBox};
@@ -54,14 +55,13 @@ fn scene(models: &Models, path: &Path) -> Option<Arc<Scene>> {
 /// Checks every photo of the folders; a folder without one is a skipped case.
 pub(super) fn run(checked: &mut Checked, folders: &[PathBuf], models: &Models) {
     for folder in folders {
-        let listing = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
-        let mut photos: Vec<PathBuf> = listing.map(|e| e.path()).filter(|p| is_photo(p)).collect();
-        photos.sort();
+        let mut photos = files::entries(folder).unwrap_or_default();
+        photos.retain(|p| is_photo(p));
         if photos.is_empty() {
             checked.skipped.push(format!("{}: no photo in it", folder.display()));
         }
         for path in photos {
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let name = files::name(&path);
             let made = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| scene(models, &path))).ok().flatten();
             for (share, holes, seams) in PLACES {
                 let mut found = [f64::INFINITY; 2];

@@ -1,10 +1,11 @@
 //! Reads photos with true depth and true second views from folders.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 
-use super::{EvalError, public_datasets};
+use super::public_datasets;
+use crate::{LabError, files};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Pose, ViewBox};
 use tmpi_pipeline::depth::Estimator;
 
@@ -42,13 +43,9 @@ impl Case {
 /// - Rectified stereo pairs: `left.png`, `right.png`, `disp_left.png` and `meta.json` with `scale`. A value of `disp_left.png` divided by
 ///   `scale` is in pixels; 0 is unknown.
 /// - Whatever [`public_datasets::of`] reads, also in the folder itself.
-pub(super) fn read(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, EvalError> {
-    let entries = std::fs::read_dir(folder).map_err(|e| EvalError::file(folder, &e))?;
-    let mut folders: Vec<PathBuf> =
-        entries.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>().map_err(|e| EvalError::file(folder, &e))?;
-    folders.sort();
+pub(super) fn read(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, LabError> {
     let mut cases = public_datasets::of(folder, depth)?;
-    for f in folders.iter().filter(|f| f.is_dir()) {
+    for f in files::entries(folder)?.iter().filter(|f| f.is_dir()) {
         if f.join("scene.json").exists() {
             cases.push(rendered(f)?);
         } else if f.join("disp_left.png").exists() {
@@ -58,10 +55,8 @@ pub(super) fn read(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, Ev
         }
     }
     if cases.is_empty() {
-        return Err(EvalError::File {
-            path: folder.into(),
-            reason: "neither it nor a folder below it holds a scene of `tmpi-lab synth`, a stereo pair, a light field or a sequence".into(),
-        });
+        let reason = "neither it nor a folder below it holds a scene of `tmpi-lab synth`, a stereo pair, a light field or a sequence";
+        return Err(LabError::file(folder, reason));
     }
     Ok(cases)
 }
@@ -78,9 +73,9 @@ struct AboutView {
     pose: Pose,
 }
 
-fn rendered(folder: &Path) -> Result<Case, EvalError> {
-    let about: About = json(&folder.join("scene.json"))?;
-    let photo = bytes(&folder.join("photo.png"))?;
+fn rendered(folder: &Path) -> Result<Case, LabError> {
+    let about: About = files::read_json(&folder.join("scene.json"))?;
+    let photo = files::read(&folder.join("photo.png"))?;
     let (width, height, delta) = map(&folder.join("disparity.png"))?;
     let mut views = Vec::new();
     for v in &about.views {
@@ -89,13 +84,10 @@ fn rendered(folder: &Path) -> Result<Case, EvalError> {
         views.push(Truth { camera: Camera { pose: v.pose, intrinsics: about.intrinsics, width, height }, rgb });
     }
     if views.is_empty() {
-        return Err(EvalError::File {
-            path: folder.join("scene.json"),
-            reason: "has no views; `tmpi-lab synth --views N` writes some".into(),
-        });
+        return Err(LabError::file(&folder.join("scene.json"), "has no views; `tmpi-lab synth --views N` writes some"));
     }
     let delta = delta.iter().map(|v| (v / 65_535.0) as f32).collect();
-    Ok(Case { name: name(folder), photo, intrinsics: about.intrinsics, truth: DisparityMap { width, height, delta }, views })
+    Ok(Case { name: files::name(folder), photo, intrinsics: about.intrinsics, truth: DisparityMap { width, height, delta }, views })
 }
 
 #[derive(Deserialize)]
@@ -103,22 +95,28 @@ struct Meta {
     scale: f64,
 }
 
-fn pair(folder: &Path) -> Result<Case, EvalError> {
-    let meta: Meta = json(&folder.join("meta.json"))?;
-    let photo = bytes(&folder.join("left.png"))?;
+fn pair(folder: &Path) -> Result<Case, LabError> {
+    let meta: Meta = files::read_json(&folder.join("meta.json"))?;
+    let photo = files::read(&folder.join("left.png"))?;
     let path = folder.join("disp_left.png");
     let (width, height, raw) = map(&path)?;
     let mut pixels: Vec<f64> = raw.iter().map(|v| v / meta.scale).collect();
     pixels.chunks_mut(width as usize).for_each(complete);
     let most = pixels.iter().copied().fold(0.0, f64::max);
     if !(most > 0.0 && most.is_finite()) {
-        return Err(EvalError::File { path, reason: "knows no disparity".into() });
+        return Err(LabError::file(&path, "knows no disparity"));
     }
     let intrinsics = Intrinsics::centred(width, height, FOCAL * f64::from(width));
     let camera = Camera { pose: Pose::at(most / intrinsics.fx, 0.0, 0.0), intrinsics, width, height };
     let rgb = picture(&folder.join("right.png"), width, height)?;
     let delta = pixels.iter().map(|p| (p / most) as f32).collect();
-    Ok(Case { name: name(folder), photo, intrinsics, truth: DisparityMap { width, height, delta }, views: vec![Truth { camera, rgb }] })
+    Ok(Case {
+        name: files::name(folder),
+        photo,
+        intrinsics,
+        truth: DisparityMap { width, height, delta },
+        views: vec![Truth { camera, rgb }],
+    })
 }
 
 /// Fills unknown values (0) of a row with the farther of the two known neighbours: what only one camera sees lies behind.
@@ -135,21 +133,9 @@ pub(super) fn complete(row: &mut [f64]) {
     }
 }
 
-pub(super) fn name(folder: &Path) -> String {
-    folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-pub(super) fn bytes(path: &Path) -> Result<Vec<u8>, EvalError> {
-    std::fs::read(path).map_err(|e| EvalError::file(path, &e))
-}
-
-pub(super) fn json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, EvalError> {
-    serde_json::from_slice(&bytes(path)?).map_err(|e| EvalError::file(path, &e))
-}
-
 /// Values of a grey picture, as in the file.
-pub(super) fn map(path: &Path) -> Result<(u32, u32, Vec<f64>), EvalError> {
-    let decoded = image::open(path).map_err(|e| EvalError::file(path, &e))?;
+pub(super) fn map(path: &Path) -> Result<(u32, u32, Vec<f64>), LabError> {
+    let decoded = image::open(path).map_err(|e| LabError::file(path, e))?;
     let (width, height) = (decoded.width(), decoded.height());
     let values = match decoded {
         image::DynamicImage::ImageLuma16(grey) => grey.iter().map(|v| f64::from(*v)).collect(),
@@ -158,10 +144,10 @@ pub(super) fn map(path: &Path) -> Result<(u32, u32, Vec<f64>), EvalError> {
     Ok((width, height, values))
 }
 
-pub(super) fn picture(path: &Path, width: u32, height: u32) -> Result<Vec<[u8; 3]>, EvalError> {
-    let decoded = image::open(path).map_err(|e| EvalError::file(path, &e))?.into_rgb8();
+pub(super) fn picture(path: &Path, width: u32, height: u32) -> Result<Vec<[u8; 3]>, LabError> {
+    let decoded = image::open(path).map_err(|e| LabError::file(path, e))?.into_rgb8();
     if (decoded.width(), decoded.height()) != (width, height) {
-        return Err(EvalError::File { path: path.into(), reason: format!("must be {width}×{height} pixels, as the disparity") });
+        return Err(LabError::file(path, format!("must be {width}×{height} pixels, as the disparity")));
     }
     Ok(decoded.pixels().map(|p| p.0).collect())
 }

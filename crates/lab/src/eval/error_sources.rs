@@ -1,11 +1,10 @@
 //! Finds where the error of a view comes from: replaces each part with the truth, one at a time.
 
-use std::fmt::Write;
-
 use serde::Serialize;
 
 use super::mesh::Warp;
 use super::{Depth, Row};
+use crate::table::row;
 use tmpi_core::Camera;
 
 /// Maximum distance from a depth border, in pixels, at which an error counts as the border's.
@@ -66,7 +65,7 @@ impl<'a> Parts<'a> {
         // if the camera moves along its axis, the points farthest from the centre move most
         let aside = |f: f64, t: f64, half: f64| f * t.abs() + half * p.tz.abs();
         let most = aside(k.fx, p.tx, w as f64 / 2.0).max(aside(k.fy, p.ty, h as f64 / 2.0));
-        let apart = |a: usize, b: usize| match (warp.covered[a], warp.covered[b]) {
+        let apart = |a: usize, b: usize| match (warp.covers(a), warp.covers(b)) {
             (true, true) => (warp.depth[a] - warp.depth[b]).abs() * most > STEP,
             (a, b) => a != b,
         };
@@ -79,7 +78,7 @@ impl<'a> Parts<'a> {
                 parts[y * w + x.saturating_sub(NEAR_EDGE)..y * w + (x + NEAR_EDGE + 1).min(w)].fill(Part::Edge);
             }
         }
-        for (part, _) in parts.iter_mut().zip(&warp.covered).filter(|(_, covered)| !**covered) {
+        for (_, part) in parts.iter_mut().enumerate().filter(|(i, _)| !warp.covers(*i)) {
             *part = Part::Hidden;
         }
         Self { parts, mesh: &warp.rgb }
@@ -110,29 +109,17 @@ impl<'a> Parts<'a> {
 /// Formats the sources as a table: mean squared error in 1e-4, and the PSNR of the whole view without each source.
 pub(super) fn table(depth: Depth, rows: &[Row]) -> String {
     let geometry = if depth == Depth::Own { "depth" } else { "planes" };
-    let mut out = format!(
-        "\nmean squared error, 1e-4, by what it comes from; in brackets PSNR if that were right\n{:<14}{:>8}{:>16}{:>16}{:>16}{:>16}\n",
-        "way", "all", "hidden colours", "depth edges", geometry, "resampling"
-    );
-    for r in rows {
+    let head = row(["way", "all", "hidden colours", "depth edges", geometry, "resampling"]);
+    let line = |r: &Row| {
         let s = r.sources;
-        let without = |part: f64| {
+        let parts = [s.hidden, s.edges, s.geometry, s.resampling].map(|part| {
             let rest = s.total() - part;
             format!("{:.2} ({:.2})", 1e4 * part, -10.0 * rest.max(f64::MIN_POSITIVE).log10())
-        };
-        // writing to a String cannot fail
-        let _ = writeln!(
-            out,
-            "{:<14}{:>8.2}{:>16}{:>16}{:>16}{:>16}",
-            r.way,
-            1e4 * s.total(),
-            without(s.hidden),
-            without(s.edges),
-            without(s.geometry),
-            without(s.resampling)
-        );
-    }
-    out
+        });
+        [r.way.to_owned(), format!("{:.2}", 1e4 * s.total())].into_iter().chain(parts).collect::<Vec<_>>()
+    };
+    let rows: Vec<Vec<String>> = std::iter::once(head).chain(rows.iter().map(line)).collect();
+    format!("\nmean squared error, 1e-4, by what it comes from; in brackets PSNR if that were right\n{}", crate::table::table(1, &rows))
 }
 
 /// Mean squared difference over the channels, of values in 0 to 1.

@@ -10,11 +10,11 @@ const EDGE: f64 = 1e-9;
 
 /// A drawn mesh.
 pub struct Warp {
+    width: usize,
+    height: usize,
     /// Colours; black where the mesh is torn.
     pub rgb: Vec<[u8; 3]>,
-    /// Whether the mesh covers each pixel's centre.
-    pub covered: Vec<bool>,
-    /// Disparity of the surface that covers each pixel, negative infinity where there is none.
+    /// Disparity of the surface that covers each pixel's centre, negative infinity where there is none.
     pub depth: Vec<f64>,
 }
 
@@ -42,7 +42,7 @@ pub fn warp(photo: &Photo, map: &DisparityMap, reference: &Intrinsics, camera: &
     };
     let centre = |i: usize| ((i % w) as f64 + 0.5, (i / w) as f64 + 0.5);
     let vertices: Vec<Option<Vertex>> = (0..w * h).map(|i| vertex(centre(i).0, centre(i).1, map.delta[i].into())).collect();
-    let mut out = Target::new(camera.width as usize, camera.height as usize);
+    let mut out = Warp::new(camera.width as usize, camera.height as usize);
     for y in 0..h.saturating_sub(1) {
         for x in 0..w.saturating_sub(1) {
             let at = [y * w + x, y * w + x + 1, (y + 1) * w + x, (y + 1) * w + x + 1];
@@ -64,19 +64,18 @@ pub fn warp(photo: &Photo, map: &DisparityMap, reference: &Intrinsics, camera: &
             }
         }
     }
-    Warp { covered: out.depth.iter().map(|&d| d > f64::NEG_INFINITY).collect(), rgb: out.rgb, depth: out.depth }
+    out
 }
 
-struct Target {
-    width: usize,
-    height: usize,
-    rgb: Vec<[u8; 3]>,
-    depth: Vec<f64>,
-}
-
-impl Target {
+impl Warp {
     fn new(width: usize, height: usize) -> Self {
         Self { width, height, rgb: vec![[0; 3]; width * height], depth: vec![f64::NEG_INFINITY; width * height] }
+    }
+
+    /// Whether the mesh covers the centre of a pixel.
+    #[must_use]
+    pub fn covers(&self, pixel: usize) -> bool {
+        self.depth[pixel] > f64::NEG_INFINITY
     }
 
     /// Draws two triangles; corners and colours are given by rows.
@@ -124,7 +123,7 @@ mod tests {
     use tmpi_core::Pose;
 
     fn photo() -> Photo {
-        Photo { width: 40, height: 30, rgb: (0..1200u32).map(|i| [(i % 40 * 6) as u8, (i / 40 * 8) as u8, 90]).collect() }
+        Photo::from_fn(40, 30, |x, y| [(x * 6) as u8, (y * 8) as u8, 90])
     }
 
     fn view(pose: Pose, delta: impl Fn(usize) -> f32) -> Warp {
@@ -136,7 +135,7 @@ mod tests {
     #[test]
     fn without_motion_it_is_the_photo() {
         let v = view(Pose::default(), |i| (i % 7) as f32 / 7.0);
-        assert!(v.covered.iter().all(|&c| c));
+        assert!((0..1200).all(|i| v.covers(i)));
         assert_eq!(v.rgb, photo().rgb);
     }
 
@@ -146,8 +145,8 @@ mod tests {
         let v = view(Pose::at(0.08, 0.0, 0.0), |_| 0.5);
         assert_eq!(v.rgb[15 * 40 + 10], photo().rgb[15 * 40 + 12]);
         let torn = view(Pose::at(-0.08, 0.0, 0.0), |i| if i % 40 < 20 { 1.0 } else { 0.1 });
-        assert!(torn.covered[15 * 40 + 22] && torn.rgb[15 * 40 + 22] == photo().rgb[15 * 40 + 18], "the near side hides the far one");
+        assert!(torn.covers(15 * 40 + 22) && torn.rgb[15 * 40 + 22] == photo().rgb[15 * 40 + 18], "the near side hides the far one");
         let gap = view(Pose::at(0.08, 0.0, 0.0), |i| if i % 40 < 20 { 1.0 } else { 0.1 });
-        assert!(!gap.covered[15 * 40 + 17], "what is uncovered is not drawn");
+        assert!(!gap.covers(15 * 40 + 17), "what is uncovered is not drawn");
     }
 }

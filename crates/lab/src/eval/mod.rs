@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
+use image::ExtendedColorType;
 use serde::Serialize;
 
 use self::cases::{Case, Truth};
@@ -17,13 +18,16 @@ use self::error_sources::Parts;
 pub use self::error_sources::Sources;
 pub use self::score::{DepthScore, Score};
 use self::score::{Fit, Mask};
+use crate::table::{row, table};
+use crate::{LabError, files};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::depth;
-use tmpi_pipeline::networks::{Config, OnnxError, Session};
+use tmpi_pipeline::networks::{Config, Session};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Denoise, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 use tmpi_render::{Cpu, Renderer};
+use tmpi_testing::pictures::png;
 
 /// Maximum share of blank pixels among a view's scored pixels. If any way exceeds it, the view does not count (paper, section 5).
 const BLANK: f64 = 0.15;
@@ -36,51 +40,6 @@ pub enum Depth {
     /// The scene's true disparity.
     #[default]
     True,
-}
-
-/// Why a measurement failed.
-#[derive(Debug, thiserror::Error)]
-pub enum EvalError {
-    /// A file cannot be accessed or read.
-    #[error("{path}: {reason}")]
-    File {
-        /// Path of the file.
-        path: PathBuf,
-        /// The reason.
-        reason: String,
-    },
-    /// A scene cannot be made.
-    #[error("{scene} cannot be made")]
-    Make {
-        /// Name of the scene.
-        scene: String,
-        /// The reason.
-        source: tmpi_pipeline::MakeError,
-    },
-    /// A view cannot be drawn.
-    #[error(transparent)]
-    Render(#[from] tmpi_render::RenderError),
-    /// A container cannot be read.
-    #[error(transparent)]
-    Atlas(#[from] tmpi_core::container::ContainerError),
-    /// The network for LPIPS fails.
-    #[error(transparent)]
-    Onnx(#[from] OnnxError),
-    /// The depth map cannot be written.
-    #[error(transparent)]
-    Depth(#[from] depth::DepthError),
-    /// There is no way of this name.
-    #[error("there is no way {way:?}; there are {all}", all = names().join(", "))]
-    Way {
-        /// The unknown name.
-        way: String,
-    },
-}
-
-impl EvalError {
-    fn file(path: &Path, reason: &dyn std::fmt::Display) -> Self {
-        Self::File { path: path.into(), reason: reason.to_string() }
-    }
 }
 
 /// The way that leaves all mixed colours on the far side of depth borders.
@@ -169,29 +128,30 @@ struct Made {
 }
 
 /// Settings of a measurement.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Settings {
-    /// Where depth comes from.
+    /// Source of depth
+    #[arg(long, value_enum, default_value_t, value_name = "DEPTH")]
     pub depth: Depth,
-    /// Names of the ways; empty for all.
+    /// Run only these methods
+    #[arg(long, value_delimiter = ',', value_parser = names(), value_name = "WAY,…")]
     pub only: Vec<String>,
-    /// ONNX file of a network for LPIPS.
+    /// Also compute LPIPS with this network: an ONNX file with two inputs [1, 3, height, width] in −1 to 1
+    #[arg(long, value_name = "FILE.onnx")]
     pub lpips: Option<PathBuf>,
-    /// Folder for the views of every way and the true views, as PNG files.
+    /// Write the true views and those of each method to this folder
+    #[arg(long, value_name = "DIR")]
     pub files: Option<PathBuf>,
 }
 
 /// Measures the named ways, or all of them, on all scenes below the folders.
 ///
 /// # Errors
-/// [`EvalError`].
-pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, EvalError> {
+/// [`LabError`].
+pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabError> {
     let Settings { depth, only, lpips, files } = settings;
     let depth = *depth;
     let lpips = lpips.as_deref().map(lpips_network).transpose()?;
-    if let Some(unknown) = only.iter().find(|o| !names().contains(&o.as_str())) {
-        return Err(EvalError::Way { way: unknown.clone() });
-    }
     // without names, measures every way whose networks are available; a named way fails without its networks
     let possible = |options: &Option<Options>| options.as_ref().is_none_or(|o| models.check(o).is_ok());
     let wanted = |name: &str, options: &Option<Options>| if only.is_empty() { possible(options) } else { only.iter().any(|o| o == name) };
@@ -253,37 +213,36 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
 }
 
 /// Loads the network of an ONNX file, which must take two pictures.
-fn lpips_network(path: &Path) -> Result<Session, EvalError> {
-    let bytes = std::fs::read(path).map_err(|e| EvalError::file(path, &e))?;
-    let session = Session::load("lpips", &bytes, &Config::default())?;
+fn lpips_network(path: &Path) -> Result<Session, LabError> {
+    let session = Session::load("lpips", &files::read(path)?, &Config::default())?;
     if session.inputs().len() != 2 {
-        return Err(EvalError::file(path, &format!("it has {} inputs; a network for LPIPS has two", session.inputs().len())));
+        return Err(LabError::file(path, format!("it has {} inputs; a network for LPIPS has two", session.inputs().len())));
     }
     Ok(session)
 }
 
-fn photo(case: &Case) -> Result<Photo, EvalError> {
+fn photo(case: &Case) -> Result<Photo, LabError> {
     let path = Path::new(&case.name);
     let photo = decoded(&case.photo, path)?;
     if (photo.width, photo.height) != (case.truth.width, case.truth.height) {
-        return Err(EvalError::file(path, &"photo and disparity have different sizes"));
+        return Err(LabError::file(path, "photo and disparity have different sizes"));
     }
     Ok(photo)
 }
 
-fn decoded(file: &[u8], path: &Path) -> Result<Photo, EvalError> {
-    let decoded = image::load_from_memory(file).map_err(|e| EvalError::file(path, &e))?.into_rgb8();
+fn decoded(file: &[u8], path: &Path) -> Result<Photo, LabError> {
+    let decoded = image::load_from_memory(file).map_err(|e| LabError::file(path, e))?.into_rgb8();
     Ok(Photo { width: decoded.width(), height: decoded.height(), rgb: decoded.pixels().map(|p| p.0).collect() })
 }
 
-fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Options>, depth: Depth) -> Result<Made, EvalError> {
+fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Options>, depth: Depth) -> Result<Made, LabError> {
     let given = (depth == Depth::True).then(|| depth::to_png(&case.truth)).transpose()?;
     // a mesh takes the depth as it is
     let plain = Options { denoise: Denoise::Off, snap: Switch::Off, planes: PlaneCount::Fixed(1), ..Options::default() };
     let options =
         Options { fov_x: Some(case.intrinsics.fov_x(case.truth.width)), view_box: case.view_box(), ..options.unwrap_or(&plain).clone() };
     let done = tmpi_pipeline::make(models, &Limits::default(), &case.photo, given.as_deref(), &options, &Silent)
-        .map_err(|source| EvalError::Make { scene: case.name.clone(), source })?;
+        .map_err(|source| LabError::Make { subject: case.name.clone(), source })?;
     let mut row = Row { way, planes: done.report.planes_per_tile, ..Row::default() };
     if way == "mesh" {
         let own = done.report.stages.iter().filter(|s| ["photo", "depth"].contains(&s.name.as_str()));
@@ -304,12 +263,12 @@ fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Option
     Ok(Made { model: Model::Layers(scene, cpu), row, disparity: done.disparity })
 }
 
-fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, EvalError> {
+fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, LabError> {
     Ok(match &made.model {
         Model::Mesh(parts) => {
             // like viewers of depth maps: a sheet that is stretched, not torn
             let warp = mesh::warp(&parts.0, &parts.1, reference, camera, f64::INFINITY);
-            Drawn { rgb: warp.rgb, blank: warp.covered.iter().map(|c| !c).collect() }
+            Drawn { blank: (0..warp.rgb.len()).map(|i| !warp.covers(i)).collect(), rgb: warp.rgb }
         }
         Model::Layers(scene, cpu) => {
             let view = cpu.render(scene, camera)?;
@@ -336,7 +295,7 @@ fn scored(
     depth: Depth,
     lpips: Option<&Session>,
     folder: Option<&Path>,
-) -> Result<Scored, EvalError> {
+) -> Result<Scored, LabError> {
     let camera = if depth == Depth::Own { seen(&truth.camera, Fit::new(&made.disparity, &case.truth)) } else { truth.camera };
     let start = Instant::now();
     let drawn = draw(made, &case.intrinsics, &camera)?;
@@ -350,11 +309,9 @@ fn scored(
     Ok(Scored { score, sources, blank: mask.share(|i| drawn.blank[i]), ms })
 }
 
-fn written(folder: &Path, name: &str, camera: &Camera, rgb: &[[u8; 3]]) -> Result<(), EvalError> {
+fn written(folder: &Path, name: &str, camera: &Camera, rgb: &[[u8; 3]]) -> Result<(), LabError> {
     let path = folder.join(format!("{name}.png"));
-    std::fs::create_dir_all(folder).map_err(|e| EvalError::file(folder, &e))?;
-    image::save_buffer(&path, rgb.as_flattened(), camera.width, camera.height, image::ExtendedColorType::Rgb8)
-        .map_err(|e| EvalError::file(&path, &e))
+    files::write(&path, &png(camera.width, camera.height, rgb.as_flattened(), ExtendedColorType::Rgb8))
 }
 
 /// The camera that sees a scene of estimated disparity δ as `camera` sees the true scene. The estimate has neither scale nor zero; the true
@@ -379,32 +336,18 @@ impl Results {
             let _ = write!(out, ", {} left out: more than {:.0} % blank in some way", self.blank, 100.0 * BLANK);
         }
         let _ = writeln!(out, "; depth: {}", if self.depth == Depth::Own { "estimated" } else { "true" });
-        let _ = writeln!(
-            out,
-            "{:<14}{:>7}{:>9}{:>10}{:>8}{:>8}{:>8}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}",
-            "way", "PSNR", "borders", "uncovered", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"
-        );
-        for r in &self.rows {
+        let head =
+            row(["way", "PSNR", "borders", "uncovered", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"]);
+        let line = |r: &Row| {
             let s = r.score;
+            let [psnr, borders, uncovered] = [s.psnr, s.borders, s.uncovered].map(|v| format!("{v:.2}"));
+            let [ssim, l1, flip] = [s.ssim, s.l1, s.flip].map(|v| format!("{v:.4}"));
             let lpips = s.lpips.map_or("-".into(), |v| format!("{v:.4}"));
-            let _ = writeln!(
-                out,
-                "{:<14}{:>7.2}{:>9.2}{:>10.2}{:>8.4}{:>8.4}{:>8.4}{:>8}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
-                r.way,
-                s.psnr,
-                s.borders,
-                s.uncovered,
-                s.ssim,
-                s.l1,
-                s.flip,
-                lpips,
-                r.make_ms,
-                r.draw_ms,
-                r.bytes / 1e3,
-                r.texels_m,
-                r.planes
-            );
-        }
+            let [make, draw] = [format!("{:.0}", r.make_ms), format!("{:.1}", r.draw_ms)];
+            let [kb, texels, planes] = [format!("{:.1}", r.bytes / 1e3), format!("{:.2}", r.texels_m), format!("{:.2}", r.planes)];
+            vec![r.way.into(), psnr, borders, uncovered, ssim, l1, flip, lpips, make, draw, kb, texels, planes]
+        };
+        out += &table(1, &std::iter::once(head).chain(self.rows.iter().map(line)).collect::<Vec<_>>());
         out += &error_sources::table(self.depth, &self.rows);
         if let Some(d) = self.depth_score {
             let _ = write!(

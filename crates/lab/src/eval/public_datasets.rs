@@ -1,19 +1,20 @@
 //! Reads photos with true second views in the formats of public data: light fields, frames of a moving depth camera, and pictures of two
 //! eyes.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::ExtendedColorType;
 use serde::Deserialize;
 
-use super::cases::{Case, FOCAL, Truth, bytes, json, map, name, picture};
-use super::{EvalError, decoded};
+use super::cases::{Case, FOCAL, Truth, map, picture};
+use super::decoded;
+use crate::{LabError, files};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Mat3, Photo, Pose, mat3_vec};
 use tmpi_pipeline::depth::Estimator;
 use tmpi_pipeline::photo::{Limits, decode};
 use tmpi_pipeline::stereo::census::Grey;
 use tmpi_pipeline::stereo::{Halves, measure, rectify};
+use tmpi_testing::pictures::png;
 
 /// Maximum side of an eye's picture, in pixels.
 const EYE: u32 = 960;
@@ -37,7 +38,7 @@ const NEAREST: f64 = 0.005;
 /// - `NAME-left.jpg` with `NAME-right.jpg`, and `NAME.left-right.jpg`: the pictures of two eyes.
 ///
 /// Without true depth, this measures depth from two of the pictures, and `depth` fills what either of them hides.
-pub(super) fn of(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, EvalError> {
+pub(super) fn of(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, LabError> {
     if folder.join("cameras.json").exists() {
         return Ok(vec![light_field(folder, depth)?]);
     }
@@ -45,13 +46,13 @@ pub(super) fn of(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, Eval
         return sequence(folder);
     }
     let mut cases = Vec::new();
-    for path in listed(folder)? {
-        let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    for path in files::entries(folder)? {
+        let file = files::name(&path);
         if let Some(name) = file.strip_suffix("-left.jpg") {
-            let second = bytes(&path.with_file_name(format!("{name}-right.jpg")))?;
-            cases.extend(eyes(name, &eye(&bytes(&path)?, &path)?, &eye(&second, &path)?, depth)?);
+            let second = files::read(&path.with_file_name(format!("{name}-right.jpg")))?;
+            cases.extend(eyes(name, &eye(&files::read(&path)?, &path)?, &eye(&second, &path)?, depth)?);
         } else if let Some(name) = file.strip_suffix(".left-right.jpg") {
-            let both = decode(&bytes(&path)?, &Limits::default(), Some(2 * EYE)).map_err(|e| EvalError::file(&path, &e))?.photo;
+            let both = decode(&files::read(&path)?, &Limits::default(), Some(2 * EYE)).map_err(|e| LabError::file(&path, e))?.photo;
             if let Some((first, second)) = Halves::LeftRight.split(&both) {
                 cases.extend(eyes(name, &first, &second, depth)?);
             }
@@ -60,16 +61,8 @@ pub(super) fn of(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, Eval
     Ok(cases)
 }
 
-/// Files of a folder, sorted by name.
-fn listed(folder: &Path) -> Result<Vec<PathBuf>, EvalError> {
-    let entries = std::fs::read_dir(folder).map_err(|e| EvalError::file(folder, &e))?;
-    let mut files = entries.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(|e| EvalError::file(folder, &e))?;
-    files.sort();
-    Ok(files)
-}
-
-fn eye(file: &[u8], path: &Path) -> Result<Photo, EvalError> {
-    decode(file, &Limits::default(), Some(EYE)).map(|d| d.photo).map_err(|e| EvalError::file(path, &e))
+fn eye(file: &[u8], path: &Path) -> Result<Photo, LabError> {
+    decode(file, &Limits::default(), Some(EYE)).map(|d| d.photo).map_err(|e| LabError::file(path, e))
 }
 
 /// Depth of a photo, measured against a second picture on the same rows.
@@ -82,7 +75,7 @@ struct Measured {
 }
 
 /// Measures depth; `None` if the pictures do not allow it.
-fn measured(photo: &Photo, second: &Photo, depth: &dyn Estimator) -> Result<Option<Measured>, EvalError> {
+fn measured(photo: &Photo, second: &Photo, depth: &dyn Estimator) -> Result<Option<Measured>, LabError> {
     let Ok(measured) = measure(photo, second) else { return Ok(None) };
     let joined = measured.fuse(photo, &depth.estimate(photo)?);
     let f = joined.figures;
@@ -113,13 +106,13 @@ struct Place {
     b_mm: f64,
 }
 
-fn light_field(folder: &Path, depth: &dyn Estimator) -> Result<Case, EvalError> {
+fn light_field(folder: &Path, depth: &dyn Estimator) -> Result<Case, LabError> {
     let path = folder.join("cameras.json");
-    let bad = |reason: &str| EvalError::File { path: path.clone(), reason: reason.into() };
-    let LightField { focal_over_width, cameras } = json(&path)?;
+    let bad = |reason: &str| LabError::file(&path, reason);
+    let LightField { focal_over_width, cameras } = files::read_json(&path)?;
     let middle =
         cameras.iter().min_by(|a, b| a.a_mm.hypot(a.b_mm).total_cmp(&b.a_mm.hypot(b.b_mm))).ok_or_else(|| bad("names no camera"))?;
-    let photo = bytes(&folder.join(&middle.file))?;
+    let photo = files::read(&folder.join(&middle.file))?;
     let reference = decoded(&photo, &folder.join(&middle.file))?;
     let (width, height) = (reference.width, reference.height);
     let views: Vec<&Place> = cameras.iter().filter(|c| c.a_mm <= 0.0 && c.b_mm <= 0.0 && c.a_mm + c.b_mm < 0.0).collect();
@@ -136,19 +129,17 @@ fn light_field(folder: &Path, depth: &dyn Estimator) -> Result<Case, EvalError> 
         let way = |mm: f64| mm / second.b_mm;
         Ok(Truth { camera: measured.camera(intrinsics, (way(place.b_mm), way(place.a_mm))), rgb })
     };
-    let views = views.iter().map(truth).collect::<Result<_, EvalError>>()?;
-    Ok(Case { name: name(folder), photo, intrinsics, truth: measured.map.clone(), views })
+    let views = views.iter().map(truth).collect::<Result<_, LabError>>()?;
+    Ok(Case { name: files::name(folder), photo, intrinsics, truth: measured.map.clone(), views })
 }
 
 /// Builds a case from the pictures of two eyes; `None` if they do not allow a measurement of depth.
-fn eyes(name: &str, first: &Photo, second: &Photo, depth: &dyn Estimator) -> Result<Option<Case>, EvalError> {
+fn eyes(name: &str, first: &Photo, second: &Photo, depth: &dyn Estimator) -> Result<Option<Case>, LabError> {
     let second = on_rows(first, second);
     let Some(measured) = measured(first, &second, depth)? else { return Ok(None) };
     let (width, height) = (first.width, first.height);
     let intrinsics = Intrinsics::centred(width, height, FOCAL * f64::from(width));
-    let mut photo = Vec::new();
-    let written = PngEncoder::new(&mut photo).write_image(first.rgb.as_flattened(), width, height, ExtendedColorType::Rgb8);
-    written.map_err(|e| EvalError::file(Path::new(name), &e))?;
+    let photo = png(width, height, first.rgb.as_flattened(), ExtendedColorType::Rgb8);
     let views = vec![Truth { camera: measured.camera(intrinsics, (1.0, 0.0)), rgb: second.rgb }];
     Ok(Some(Case { name: name.into(), photo, intrinsics, truth: measured.map, views }))
 }
@@ -173,10 +164,10 @@ struct Frame {
 }
 
 impl Frame {
-    fn read(path: &Path) -> Result<Self, EvalError> {
+    fn read(path: &Path) -> Result<Self, LabError> {
         let m = numbers(path, 16)?;
         let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2]];
-        let file = path.file_name().unwrap_or_default().to_string_lossy();
+        let file = files::name(path);
         let name = file.strip_suffix(".pose.txt").unwrap_or(&file).to_owned();
         Ok(Self { name, orientation: [row(0), row(1), row(2)], place: [m[3], m[7], m[11]] })
     }
@@ -198,10 +189,10 @@ fn angles(place: Pose, columns: &Mat3) -> Pose {
     Pose { yaw: at(0, 2).atan2(at(2, 2)).to_degrees(), pitch, roll: at(1, 0).atan2(at(1, 1)).to_degrees(), ..place }
 }
 
-fn sequence(folder: &Path) -> Result<Vec<Case>, EvalError> {
+fn sequence(folder: &Path) -> Result<Vec<Case>, LabError> {
     let k = numbers(&folder.join("camera-intrinsics.txt"), 9)?;
     let intrinsics = Intrinsics { fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
-    let poses = listed(folder)?.into_iter().filter(|p| p.to_string_lossy().ends_with(".pose.txt"));
+    let poses = files::entries(folder)?.into_iter().filter(|p| p.to_string_lossy().ends_with(".pose.txt"));
     let frames = poses.map(|p| Frame::read(&p)).collect::<Result<Vec<_>, _>>()?;
     let step = (frames.len() / REFERENCES).max(1);
     let mut cases = Vec::new();
@@ -212,16 +203,16 @@ fn sequence(folder: &Path) -> Result<Vec<Case>, EvalError> {
 }
 
 /// Builds a case from a reference frame; `None` if no other frame is close enough.
-fn case_of(folder: &Path, intrinsics: Intrinsics, reference: &Frame, frames: &[Frame]) -> Result<Option<Case>, EvalError> {
+fn case_of(folder: &Path, intrinsics: Intrinsics, reference: &Frame, frames: &[Frame]) -> Result<Option<Case>, LabError> {
     let colours = |frame: &Frame| folder.join(format!("{}.color.jpg", frame.name));
-    let photo = bytes(&colours(reference))?;
+    let photo = files::read(&colours(reference))?;
     let path = folder.join(format!("{}.depth.png", reference.name));
     let (width, height, depth) = map(&path)?;
     let known = |mm: &f64| (1.0..65_535.0).contains(mm);
     let mut all: Vec<f64> = depth.iter().copied().filter(known).collect();
     all.sort_by(f64::total_cmp);
     let Some(nearest) = all.get((all.len() as f64 * NEAREST) as usize).map(|mm| mm / 1e3) else {
-        return Err(EvalError::File { path, reason: "knows no depth".into() });
+        return Err(LabError::file(&path, "knows no depth"));
     };
     let mut delta: Vec<f64> = depth.iter().map(|mm| if known(mm) { (1e3 * nearest / mm).min(1.0) } else { 0.0 }).collect();
     delta.chunks_mut(width as usize).for_each(super::cases::complete);
@@ -231,8 +222,8 @@ fn case_of(folder: &Path, intrinsics: Intrinsics, reference: &Frame, frames: &[F
         let rgb = picture(&colours(frame), width, height)?;
         Ok(Truth { camera: Camera { pose, intrinsics, width, height }, rgb })
     };
-    let views = cameras.into_iter().map(view).collect::<Result<Vec<_>, EvalError>>()?;
-    let case = Case { name: format!("{} {}", name(folder), reference.name), photo, intrinsics, truth, views };
+    let views = cameras.into_iter().map(view).collect::<Result<Vec<_>, LabError>>()?;
+    let case = Case { name: format!("{} {}", files::name(folder), reference.name), photo, intrinsics, truth, views };
     Ok(Some(case).filter(|c| !c.views.is_empty()))
 }
 
@@ -248,10 +239,10 @@ fn chosen<'a>(reference: &Frame, frames: &'a [Frame], nearest: f64, focal: f64) 
 }
 
 /// Reads exactly `count` numbers from a text file, separated by white space.
-fn numbers(path: &Path, count: usize) -> Result<Vec<f64>, EvalError> {
-    let text = bytes(path)?;
+fn numbers(path: &Path, count: usize) -> Result<Vec<f64>, LabError> {
+    let text = files::read(path)?;
     let all: Vec<f64> = String::from_utf8_lossy(&text).split_whitespace().filter_map(|v| v.parse().ok()).collect();
-    if all.len() == count { Ok(all) } else { Err(EvalError::File { path: path.into(), reason: format!("holds no {count} numbers") }) }
+    if all.len() == count { Ok(all) } else { Err(LabError::file(path, format!("holds no {count} numbers"))) }
 }
 
 #[cfg(test)]

@@ -6,8 +6,6 @@ use crate::metrics;
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::networks::{Network, OnnxError, Tensor};
 
-/// Share of a view that is cropped on each side before scoring, as in the paper.
-const CROP: f64 = 0.15;
 /// Maximum disparity that counts as infinitely far; ratios of such disparities mean nothing.
 const FAR: f64 = 0.02;
 
@@ -81,7 +79,7 @@ impl Mask {
                 }
             }
         }
-        let (cx, cy) = ((width as f64 * CROP) as usize, (height as f64 * CROP) as usize);
+        let (cx, cy) = (metrics::margin(width), metrics::margin(height));
         let middle = |i: usize| (cx..width - cx).contains(&(i % width)) && (cy..height - cy).contains(&(i / width));
         let inside: Vec<bool> = (0..covered.len()).map(|i| middle(i) && !outside[i]).collect();
         let near = beside(width, depth);
@@ -112,7 +110,7 @@ impl Mask {
                 |(a, b): (&[u8; 3], &[u8; 3])| a.iter().zip(b).map(|(a, b)| (f64::from(a.abs_diff(*b)) / 255.0).powi(power)).sum::<f64>();
             mean(pixels.map(|both| off(both) / 3.0), of)
         };
-        let decibels = |mse: f64| if mse > 0.0 { (-10.0 * mse.log10()).min(metrics::MAX_PSNR) } else { metrics::MAX_PSNR };
+        let decibels = |mse: f64| metrics::psnr_of(255.0 * 255.0 * mse);
         let psnr = decibels(difference(2, &self.inside).unwrap_or(0.0));
         let of = |mask: &[bool]| difference(2, mask).map_or(psnr, decibels);
         let (borders, uncovered, l1) = (of(&self.beside), of(&self.uncovered), difference(1, &self.inside).unwrap_or(0.0));
@@ -124,18 +122,7 @@ impl Mask {
     /// The centre of a view and of the truth; pixels that are not scored come from the truth in both.
     fn middle(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> [Vec<[u8; 3]>; 2] {
         let mixed: Vec<[u8; 3]> = view.iter().zip(truth).zip(&self.inside).map(|((v, t), inside)| if *inside { *v } else { *t }).collect();
-        let cx = self.cut();
-        let cy = ((truth.len() / self.width) as f64 * CROP) as usize;
-        [&mixed, truth].map(|p| {
-            let rows = p.chunks(self.width);
-            let keep = rows.len() - 2 * cy;
-            rows.skip(cy).take(keep).flat_map(|r| r[cx..self.width - cx].to_vec()).collect()
-        })
-    }
-
-    /// Number of columns that are cropped on each side.
-    fn cut(&self) -> usize {
-        (self.width as f64 * CROP) as usize
+        [&mixed, truth].map(|p| metrics::cropped(p, self.width))
     }
 
     /// Runs an LPIPS `network` on a view and the truth. Its two inputs are `[1, 3, height, width]` in −1 to 1; the result is the mean of
@@ -144,7 +131,7 @@ impl Mask {
     /// # Errors
     /// [`OnnxError`] if the network does not have this form.
     pub fn lpips(&self, network: &dyn Network, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Result<f64, OnnxError> {
-        let width = self.width - 2 * self.cut();
+        let width = self.width - 2 * metrics::margin(self.width);
         let both = self.middle(view, truth).map(|rgb| {
             let plane = |c: usize| rgb.iter().map(move |p| f32::from(p[c]) / 127.5 - 1.0);
             Tensor { shape: vec![1, 3, rgb.len() / width, width], data: (0..3).flat_map(plane).collect() }

@@ -4,7 +4,7 @@ use tmpi_core::Photo;
 use tmpi_core::live::schema::Sound;
 use tmpi_core::live::schema::message::Kind;
 
-use super::LiveBenchError;
+use crate::LabError;
 
 /// Opus bits per second and packets per second, as the publishing page sends them (`static/live/microphone.js`).
 const SOUND: (usize, usize) = (32_000, 50);
@@ -33,25 +33,25 @@ impl H264 {
     /// Creates an encoder for frames of this size at 30 frames and `bitrate` bits per second.
     ///
     /// # Errors
-    /// [`LiveBenchError::Encode`] if a side is odd or the encoder does not support the size.
-    pub fn new((width, height): (u32, u32), bitrate: u32) -> Result<Self, LiveBenchError> {
+    /// [`LabError::Encode`] if a side is odd or the encoder does not support the size.
+    pub fn new((width, height): (u32, u32), bitrate: u32) -> Result<Self, LabError> {
         let mut config = rusty_h264_encoder::EncoderConfig::baseline(width as usize, height as usize);
         config.preset = rusty_h264_encoder::Preset::Balanced;
         (config.gop_size, config.min_keyint, config.framerate, config.bitrate) = (Self::GOP, Self::GOP, 30.0, bitrate);
-        let encoder = rusty_h264_encoder::Encoder::new(config).map_err(|e| LiveBenchError::Encode(e.to_string()))?;
+        let encoder = rusty_h264_encoder::Encoder::new(config).map_err(|e| LabError::Encode(e.to_string()))?;
         Ok(Self { encoder, frames: 0 })
     }
 
     /// Encodes a frame; returns its bytes, and whether it is a key frame.
     ///
     /// # Errors
-    /// [`LiveBenchError::Encode`].
-    pub fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError> {
+    /// [`LabError::Encode`].
+    pub fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LabError> {
         let key = self.frames.is_multiple_of(Self::GOP);
         self.frames += 1;
         let [y, u, v] = to_i420(photo);
         let frame = rusty_h264_common::YuvFrame { width: photo.width as usize, height: photo.height as usize, y, u, v };
-        Ok((self.encoder.try_encode(&frame).map_err(|e| LiveBenchError::Encode(e.to_string()))?, key))
+        Ok((self.encoder.try_encode(&frame).map_err(|e| LabError::Encode(e.to_string()))?, key))
     }
 }
 
@@ -84,7 +84,7 @@ mod tests {
     fn readers_invert_the_colour_conversion() {
         // one colour per four pixels, like chroma
         let pixel = |x: u32, y: u32| [(x / 2 * 8) as u8, (y / 2 * 8) as u8, ((x / 2 + y / 2) * 4) as u8];
-        let photo = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| pixel(i % 64, i / 64)).collect() };
+        let photo = Photo::from_fn(64, 64, pixel);
         let [y, u, v] = to_i420(&photo);
         let back = to_rgb(&I420 { width: 64, height: 64, y: &y, u: &u, v: &v }, Colour::default()).unwrap();
         let off = photo.rgb.as_flattened().iter().zip(back.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();

@@ -3,18 +3,21 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use image::ExtendedColorType;
 use tmpi_core::live::{FrameTiming, TileState, schema};
 use tmpi_core::{Photo, Pose};
 use tmpi_live::{Frame, FramePipeline, Update, video as codecs};
 use tmpi_pipeline::usage::Clock;
-use tmpi_render::difference::psnr;
-use tmpi_render::{PictureFormat, View};
+use tmpi_render::difference::{max_abs, psnr};
+use tmpi_testing::pictures::png;
 
 use super::encode::{H264, sound_bytes};
 use super::sequence::{Kind, Sequence, Shot};
 use super::side_view::{Moment, Reader, ms};
-use super::{LiveBenchError, Row, Settings, room, tiles};
+use super::sweep::OperatingPoint;
+use super::{Flags, Row, Settings, room, tiles};
 use crate::bench::Figures;
+use crate::{LabError, files};
 
 /// Sideways offset of the side view: the border of the default view box.
 pub const SIDE_OFFSET: f64 = 0.03;
@@ -25,20 +28,21 @@ const CORNERS: [(&str, (f64, f64)); 4] =
 const SETTLED: f64 = 5.0;
 
 /// Runs a sequence through a room.
-pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Result<Row, LiveBenchError> {
-    let mut encoder = H264::new(settings.size, settings.bitrate)?;
-    let mut decoder = codecs::decoder(H264::CODEC, settings.size)?;
-    let settings_of_room = room(settings, sequence, settings.frame_ms);
-    let empty = settings_of_room.empty(settings.size.0, settings.size.1);
+pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Result<Row, LabError> {
+    let (flags, OperatingPoint { size, bitrate, budget_ms }) = (&settings.flags, settings.at);
+    let mut encoder = H264::new(size, bitrate)?;
+    let mut decoder = codecs::decoder(H264::CODEC, size)?;
+    let settings_of_room = room(settings, sequence, budget_ms);
+    let empty = settings_of_room.empty(size.0, size.1);
     let mut driver = FramePipeline::new(settings.models.clone(), settings_of_room);
     let (mut f, mut stages) = (Figures::default(), Vec::new());
-    let (mut reader, mut streams) = (Reader::new(settings.follow), Streams::default());
+    let (mut reader, mut streams) = (Reader::new(flags.follow), Streams::default());
     streams.record(schema::message::Kind::Hello(schema::Hello { codec: H264::CODEC.into(), ..TileState::hello(&empty) }));
     let mut last = None::<Photo>;
     // an odd interval: if every second frame is in the cooldown, views alternate between both kinds
-    let views = settings.views | 1;
-    for n in 0..settings.frames {
-        let taken = n * settings.every;
+    let views = flags.views | 1;
+    for n in 0..flags.frames {
+        let taken = n * flags.every;
         let shot = sequence.shot(taken);
         let (data, key) = encoder.encode(&shot.noisy)?;
         f.add("video, bytes", streams.record(video((n, taken), key, &data)));
@@ -59,17 +63,17 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         tiles::bytes(&mut f, &message, encoded);
         if let Some(g) = driver.geometry() {
             tiles::count(&mut f, g, &update, last.as_ref().map(|l| (l, &shot.clean)));
-            let off = driver.reference().map_or(0, |of| most_off(of, &frame.photo));
+            let off = driver.reference().map_or(0, |of| max_abs(&of.rgb, &frame.photo.rgb));
             f.most("unsent pixels: most off, levels", off.into());
             reader.model.get_or_insert(TileState::new(&TileState::hello(g))?);
         }
         let before = Instant::now();
-        let (came, of_frame) = reader.receive(message, settings.late)?;
+        let (came, of_frame) = reader.receive(message, flags.late)?;
         f.add("reader: chunks, ms", ms(before));
         let known = reader.model.as_ref().and_then(TileState::geometry).cloned();
         if let Some(g) = &known {
             let before = Instant::now();
-            reader.update(g, &came, &frame.photo, FrameTiming { frame: n.into(), tiles: of_frame, elapsed: Some(at(settings.every)) });
+            reader.update(g, &came, &frame.photo, FrameTiming { frame: n.into(), tiles: of_frame, elapsed: Some(at(flags.every)) });
             f.add("reader: layers, ms", ms(before));
             if let Some(plate) = sequence.plate(taken) {
                 tiles::edges(&mut f, reader.shown(g), (&shot.delta, &plate.disparity));
@@ -86,19 +90,19 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
                     settled: f64::from(taken) >= SETTLED * 30.0,
                 };
                 let view = reader.show(moment, &mut f)?;
-                if let Some(folder) = settings.files.as_deref().filter(|_| n % views == 0) {
+                if let Some(folder) = flags.files.as_deref().filter(|_| n % views == 0) {
                     keep_pictures(folder, (kind, n), sequence, taken, (&reader, moment, &view))?;
                 }
             }
         }
         last = Some(shot.clean);
     }
-    if let Some(folder) = &settings.files {
-        write(folder, &format!("{}.h264", kind.slug()), &streams.video)?;
-        write(folder, &format!("{}.room", kind.slug()), &streams.messages)?;
+    if let Some(folder) = &flags.files {
+        files::write(&folder.join(format!("{}.h264", kind.slug())), &streams.video)?;
+        files::write(&folder.join(format!("{}.room", kind.slug())), &streams.messages)?;
     }
     reader.finish(&mut f);
-    Ok(Row { sequence: kind.name(), figures: finished(f, stages, settings) })
+    Ok(Row { sequence: kind.name(), figures: finished(f, stages, flags) })
 }
 
 /// Time and CPU time in milliseconds.
@@ -119,16 +123,16 @@ fn add_times(f: &mut Figures, stages: &mut Vec<(String, Times)>, update: &Update
 }
 
 /// The means over the frames, and what follows from them. Each frame stands for `every` frames at 30 frames a second.
-fn finished(mut f: Figures, stages: Vec<(String, Times)>, settings: &Settings) -> Vec<(String, f64)> {
+fn finished(mut f: Figures, stages: Vec<(String, Times)>, flags: &Flags) -> Vec<(String, f64)> {
     for (name, (ms, cpu)) in stages {
-        f.add(&format!("server: {name}, ms"), ms / f64::from(settings.frames));
-        f.add(&format!("server: {name}, CPU ms"), cpu / f64::from(settings.frames));
+        f.add(&format!("server: {name}, ms"), ms / f64::from(flags.frames));
+        f.add(&format!("server: {name}, CPU ms"), cpu / f64::from(flags.frames));
     }
     for name in ["server, ms", "reader: layers, ms", "edge short, px"] {
         f.add(&format!("{name}, 95th percentile"), f.percentile(name, 0.95));
     }
     f.add("server, ms, longest", f.percentile("server, ms", 1.0));
-    let every = f64::from(settings.every);
+    let every = f64::from(flags.every);
     f.add("sound, bytes", every * sound_bytes());
     let geometry = f.mean("geometry, bytes");
     let all = f.mean("video, bytes") + geometry + every * sound_bytes();
@@ -137,13 +141,8 @@ fn finished(mut f: Figures, stages: Vec<(String, Times)>, settings: &Settings) -
     f.means()
 }
 
-/// Largest difference of any channel between two pictures, in levels.
-fn most_off(a: &Photo, b: &Photo) -> u8 {
-    a.rgb.as_flattened().iter().zip(b.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max().unwrap_or_default()
-}
-
 /// Size of a room's snapshot at a frame in bytes; 0 if the room is empty.
-fn snapshot(room: &FramePipeline, n: u32) -> Result<f64, LiveBenchError> {
+fn snapshot(room: &FramePipeline, n: u32) -> Result<f64, LabError> {
     let message = |chunk| schema::message::Kind::Snapshot(schema::Geometry { frame: n.into(), chunks: vec![chunk] });
     Ok(room.snapshot(n.into())?.map_or(0.0, |chunk| tmpi_core::live::write(message(chunk)).len() as f64))
 }
@@ -155,8 +154,13 @@ fn keep_pictures(
     sequence: &Sequence,
     taken: u32,
     (reader, m, view): (&Reader, Moment, &Photo),
-) -> Result<(), LiveBenchError> {
-    let keep = |what: &str, picture: &Photo| write(folder, &format!("{}-{n:04}-{what}.png", kind.slug()), &png(picture)?);
+) -> Result<(), LabError> {
+    let keep = |what: &str, picture: &Photo| {
+        files::write(
+            &folder.join(format!("{}-{n:04}-{what}.png", kind.slug())),
+            &png(picture.width, picture.height, picture.rgb.as_flattened(), ExtendedColorType::Rgb8),
+        )
+    };
     let Shot { side_view, .. } = m.shot;
     for (what, picture) in [("frame", m.photo), ("beside", view), ("truth", side_view)] {
         keep(what, picture)?;
@@ -195,13 +199,4 @@ impl Streams {
         self.messages.extend_from_slice(&bytes);
         bytes.len() as f64
     }
-}
-
-fn png(photo: &Photo) -> Result<Vec<u8>, LiveBenchError> {
-    tmpi_render::encode(&View::from(photo), PictureFormat::Png, 0).map_err(|e| LiveBenchError::Encode(e.to_string()))
-}
-
-fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), LiveBenchError> {
-    let path = folder.join(name);
-    std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&path, bytes)).map_err(|e| LiveBenchError::Write(path, e))
 }

@@ -13,16 +13,17 @@ use std::time::Duration;
 
 use serde::{Serialize, Serializer};
 
+use crate::LabError;
+use tmpi_core::live::MAX_MOTION_FRAMES;
 use tmpi_core::live::chunk::Area;
 use tmpi_core::live::coder_prior::Learning;
-use tmpi_live::{FramePipeline, GeometryError, Settings as Room, video};
+use tmpi_live::{COOLDOWN, FramePipeline, RECHECK, RecheckSettings, Settings as Room, video};
 use tmpi_pipeline::{Models, Options};
 
 use encode::H264;
 use sequence::{Kind, Sequence};
+use sweep::OperatingPoint;
 
-/// Short names of the sequences.
-pub const NAMES: [&str; 4] = [Kind::ALL[0].slug(), Kind::ALL[1].slug(), Kind::ALL[2].slug(), Kind::ALL[3].slug()];
 /// Default seed of the first scene, far from the seeds used for training.
 pub const SEED: u64 = 900_100;
 /// First seed of the training scenes of the chunk coders.
@@ -30,66 +31,69 @@ const TRAINING_SEED: u64 = 700_000;
 /// Number of training scenes, and frames of each.
 const LESSONS: (u64, u32) = (12, 40);
 
-/// Why a measurement failed.
-#[derive(Debug, thiserror::Error)]
-pub enum LiveBenchError {
-    /// A frame could not be encoded.
-    #[error("cannot encode a frame: {0}")]
-    Encode(String),
-    /// A frame could not be decoded.
-    #[error(transparent)]
-    Video(#[from] video::VideoError),
-    /// The geometry of a frame could not be computed.
-    #[error(transparent)]
-    Geometry(#[from] GeometryError),
-    /// A reader could not decode a message.
-    #[error(transparent)]
-    Live(#[from] tmpi_core::live::LiveError),
-    /// A view could not be rendered.
-    #[error(transparent)]
-    Render(#[from] tmpi_render::RenderError),
-    /// A file could not be written.
-    #[error("{0}")]
-    Write(PathBuf, #[source] std::io::Error),
+/// What is measured.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Flags {
+    /// Measure only this sequence
+    #[arg(long, value_enum, value_name = "NAME")]
+    pub only: Option<Kind>,
+    /// Seed of the first scene; the next two seeds are used too
+    #[arg(long, default_value_t = SEED, value_name = "N")]
+    pub scene: u64,
+    /// Frames of each sequence
+    #[arg(long, default_value_t = 240, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
+    pub frames: u32,
+    /// Send only every Nth frame; the camera takes 30 per second
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=60), value_name = "N")]
+    pub every: u32,
+    /// Send a tile only if its new planes move some point by more than this many pixels, for some camera in the view box
+    #[arg(long, default_value_t = tmpi_live::PARALLAX, value_parser = not_negative, value_name = "PX")]
+    pub parallax: f64,
+    /// Allowed parallax error of planes, in pixels
+    #[arg(long, default_value_t = tmpi_live::MAX_ERROR, value_parser = not_negative, value_name = "PX")]
+    pub max_error: f64,
+    /// Frames between the last change near a block and a second estimate of its depth; 0: none
+    #[arg(long, default_value_t = RECHECK.frames, value_name = "N")]
+    pub settle: u8,
+    /// Radius around a changed block that counts as near, in blocks of 8 pixels
+    #[arg(long, default_value_t = RECHECK.blocks, value_name = "N")]
+    pub settle_blocks: u8,
+    /// With estimated depth, milliseconds after sending tiles during which no others are sent
+    #[arg(long, default_value_t = COOLDOWN.as_millis() as u16, value_parser = clap::value_parser!(u16).range(0..=1000), value_name = "MS")]
+    pub rest_ms: u16,
+    /// Frames by which tiles arrive late; meanwhile the reader moves labels along with motion
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
+    pub late: u32,
+    /// Maximum number of frames for which labels follow motion; 0: they stay in place
+    #[arg(long, default_value_t = MAX_MOTION_FRAMES, value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_MOTION_FRAMES)), value_name = "N")]
+    pub follow: u32,
+    /// Render the side view for two of every N frames
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
+    pub views: u32,
+    /// Write the streams, and pictures of the compared frames, views and true views, to this folder
+    #[arg(long, value_name = "DIR")]
+    pub files: Option<PathBuf>,
+}
+
+/// Parses a number that is not negative.
+///
+/// # Errors
+/// What is expected.
+pub fn not_negative(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|v: &f64| v.is_finite() && *v >= 0.0).ok_or_else(|| "expected a number, 0 or more".into())
 }
 
 /// Settings of a measurement.
 #[derive(Clone)]
 pub struct Settings {
-    /// Size of the frames.
-    pub size: (u32, u32),
-    /// Seed of the first scene; the next two seeds are used too.
-    pub seed: u64,
-    /// Frames per sequence.
-    pub frames: u32,
-    /// Sends only every Nth frame; the camera takes 30 per second.
-    pub every: u32,
-    /// H.264 bits per second.
-    pub bitrate: u32,
-    /// Milliseconds that the geometry of a frame may take; 0: no limit.
-    pub frame_ms: f64,
-    /// Renders the side view every Nth frame, and for the frame after it.
-    pub views: u32,
+    /// What is measured.
+    pub flags: Flags,
+    /// Size of the frames, bit rate and budget.
+    pub at: OperatingPoint,
     /// The networks. Without a depth network, only measured depth can be used.
     pub models: Models,
     /// Whether depth can be estimated.
     pub depth: bool,
-    /// Allowed parallax error of planes, in pixels.
-    pub max_error: f64,
-    /// Displacement, in pixels, below which a tile is not sent again.
-    pub parallax: f64,
-    /// Time after sending tiles during which no others are sent.
-    pub cooldown: Duration,
-    /// Number of frames by which tiles reach readers late.
-    pub late: u32,
-    /// Maximum number of frames for which readers' labels follow motion.
-    pub follow: u32,
-    /// When to estimate depth again near past motion.
-    pub recheck: tmpi_live::RecheckSettings,
-    /// Measures only the sequence of this name.
-    pub only: Option<String>,
-    /// Folder for the streams and some pictures.
-    pub files: Option<PathBuf>,
 }
 
 /// Means over the frames of a sequence. Bytes and milliseconds are per frame.
@@ -115,10 +119,10 @@ impl Row {
 }
 
 /// Measures all sequences, and calls `progress` with the name of each; returns a row for each, and those that were skipped with the reason.
-fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<String>), LiveBenchError> {
+fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<String>), LabError> {
     let (mut rows, mut skipped) = (Vec::new(), Vec::new());
     for kind in Kind::ALL {
-        if settings.only.as_ref().is_some_and(|name| name != kind.slug()) {
+        if settings.flags.only.is_some_and(|only| only != kind) {
             continue;
         }
         if !settings.depth && kind != Kind::Measured {
@@ -126,7 +130,8 @@ fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<St
             continue;
         }
         progress(kind.name());
-        let sequence = Sequence::new(kind, settings.seed, settings.size, settings.frames * settings.every, measure::SIDE_OFFSET);
+        let Flags { scene, frames, every, .. } = settings.flags;
+        let sequence = Sequence::new(kind, scene, settings.at.size, frames * every, measure::SIDE_OFFSET);
         rows.push(measure::run(settings, kind, &sequence)?);
     }
     Ok((rows, skipped))
@@ -135,23 +140,27 @@ fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<St
 /// Settings of the room for a sequence.
 fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64) -> Room {
     let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
-    let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error: settings.max_error, ..Options::default() };
-    Room { options, parallax: settings.parallax, cooldown: settings.cooldown, recheck: settings.recheck, frame_ms, ..Room::default() }
+    let Flags { parallax, max_error, settle, settle_blocks, rest_ms, .. } = settings.flags;
+    let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error, ..Options::default() };
+    let recheck = RecheckSettings { frames: settle, blocks: settle_blocks };
+    Room { options, parallax, cooldown: Duration::from_millis(rest_ms.into()), recheck, frame_ms, ..Room::default() }
 }
 
 /// Learns the initial state of the chunk coders (`crates/core/src/live/coder_prior.in`) from the chunks of rendered sequences.
 ///
 /// # Errors
-/// [`LiveBenchError`].
-pub fn learn(settings: &Settings, progress: &dyn Fn(&str)) -> Result<String, LiveBenchError> {
+/// [`LabError`].
+pub fn learn(settings: &Settings, progress: &dyn Fn(&str)) -> Result<String, LabError> {
     let mut learning = Learning::default();
     for lesson in 0..LESSONS.0 {
         progress(&format!("lesson {} of {}", lesson + 1, LESSONS.0));
         let kind = if lesson % 3 == 2 { Kind::Moving } else { Kind::Still };
-        let sequence = Sequence::new(kind, TRAINING_SEED + 3 * lesson, settings.size, LESSONS.1, measure::SIDE_OFFSET);
-        let (mut encoder, mut geometry) =
-            (H264::new(settings.size, settings.bitrate)?, FramePipeline::new(settings.models.clone(), room(settings, &sequence, 0.0)));
-        let mut decoder = video::decoder(H264::CODEC, settings.size)?;
+        let sequence = Sequence::new(kind, TRAINING_SEED + 3 * lesson, settings.at.size, LESSONS.1, measure::SIDE_OFFSET);
+        let (mut encoder, mut geometry) = (
+            H264::new(settings.at.size, settings.at.bitrate)?,
+            FramePipeline::new(settings.models.clone(), room(settings, &sequence, 0.0)),
+        );
+        let mut decoder = video::decoder(H264::CODEC, settings.at.size)?;
         for n in 0..LESSONS.1 {
             let shot = sequence.shot(n);
             let Some(photo) = decoder.decode(&encoder.encode(&shot.noisy)?.0)? else { continue };

@@ -5,7 +5,7 @@ use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 use crate::scenes::{Picture, Scene};
 
 /// Kind of a sequence.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Kind {
     /// A still camera, and a person-sized object that moves to and fro.
     Still,
@@ -32,7 +32,7 @@ impl Kind {
         }
     }
 
-    /// Name in file names and on the command line.
+    /// Name in file names.
     #[must_use]
     pub const fn slug(self) -> &'static str {
         match self {

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use tmpi_core::live::{FrameTiming, Layers, LiveError, TileState, schema};
 use tmpi_core::{Camera, Geometry, Inpainter, LayerMasks, Photo, Pose, Scene, TexturedLayer, compose};
+use tmpi_render::difference::psnr_of;
 use tmpi_render::{Cpu, RenderError, Renderer};
 
 use super::seams::seams;
@@ -140,7 +141,7 @@ impl Reader {
     pub fn finish(&self, f: &mut Figures) {
         for (name, square) in [("uncovered, with memory, dB", self.remembered), ("uncovered, inpainted, dB", self.inpainted)] {
             if let Some(square) = square.get() {
-                f.add(name, 10.0 * (255f64.powi(2) / square.max(f64::MIN_POSITIVE)).log10());
+                f.add(name, psnr_of(square));
             }
         }
     }

@@ -1,11 +1,11 @@
 //! Measures each sequence at several sizes, bit rates and budgets: error against run time and bytes.
 
-use std::fmt::Write;
-
 use serde::Serialize;
 
-use super::{LiveBenchError, Row, Settings, run};
+use super::{Row, Settings, run};
+use crate::LabError;
 use crate::bench::{Axis, Curve, Experiment, Machine, Point as Plotted, Results};
+use crate::table::table;
 
 /// Settings of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -47,17 +47,17 @@ pub struct Points {
 /// Measures all sequences at each point, and calls `progress` for each.
 ///
 /// # Errors
-/// [`LiveBenchError`].
-pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&str)) -> Result<Points, LiveBenchError> {
+/// [`LabError`].
+pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&str)) -> Result<Points, LabError> {
     let start = std::time::Instant::now();
     let (mut points, mut skipped) = (Vec::new(), Vec::new());
     for &at in at {
-        let settings = Settings { size: at.size, bitrate: at.bitrate, frame_ms: at.budget_ms, ..settings.clone() };
+        let settings = Settings { at, ..settings.clone() };
         let (rows, without) = run(&settings, &|what| progress(&format!("{what}, {at}")))?;
         points.extend(rows.into_iter().map(|row| Point { at, row }));
         skipped = without;
     }
-    Ok(Points { machine: Machine::this(), frames: settings.frames, points, skipped, seconds: start.elapsed().as_secs_f64() })
+    Ok(Points { machine: Machine::this(), frames: settings.flags.frames, points, skipped, seconds: start.elapsed().as_secs_f64() })
 }
 
 impl std::fmt::Display for OperatingPoint {
@@ -97,41 +97,25 @@ impl Points {
                 names.push(name);
             }
         }
-        let mut out = self.points.first().map_or(String::new(), |p| format!("{}, {} frames\n", p.at, self.frames));
-        let mut line = |name: &str, of: &dyn Fn(&Row) -> String| {
-            // writing to a String cannot fail
-            let _ = write!(out, "{name:<36}");
-            for p in &self.points {
-                let _ = write!(out, "{:>22}", of(&p.row));
-            }
-            out.push('\n');
+        let line = |name: &str, of: &dyn Fn(&Row) -> String| {
+            std::iter::once(name.to_owned()).chain(self.points.iter().map(|p| of(&p.row))).collect::<Vec<_>>()
         };
-        line("", &|row| row.sequence.into());
-        for name in names {
-            line(name, &|row| row.get(name).map_or(String::new(), |v| format!("{v:.3}")));
-        }
-        out
+        let mut lines = vec![line("", &|row| row.sequence.into())];
+        lines.extend(names.into_iter().map(|name| line(name, &|row| row.get(name).map_or(String::new(), |v| format!("{v:.3}")))));
+        self.points.first().map_or(String::new(), |p| format!("{}, {} frames\n", p.at, self.frames)) + &table(1, &lines)
     }
 
     fn lines(&self) -> String {
-        let mut out = format!("{} frames per sequence; PSNR in dB, SSIM and flicker (levels) of the side view\n", self.frames);
-        let mut line = |sequence: &str, cells: Vec<String>| {
-            // writing to a String cannot fail
-            let _ = write!(out, "{sequence:<20}");
-            for cell in cells {
-                let _ = write!(out, "{cell:>12}");
-            }
-            out.push('\n');
-        };
-        let of_point = ["size", "target", "budget ms"];
-        line("sequence", of_point.into_iter().chain(FIGURES.map(|f| f.0)).map(String::from).collect());
-        for Point { at, row } in &self.points {
+        let head =
+            ["sequence", "size", "target", "budget ms"].into_iter().chain(FIGURES.map(|f| f.0)).map(String::from).collect::<Vec<_>>();
+        let line = |Point { at, row }: &Point| {
             let budget = if at.budget_ms > 0.0 { at.budget_ms.to_string() } else { "none".into() };
-            let own = [format!("{}x{}", at.size.0, at.size.1), (at.bitrate / 1000).to_string(), budget];
+            let own = [row.sequence.to_owned(), format!("{}x{}", at.size.0, at.size.1), (at.bitrate / 1000).to_string(), budget];
             let figures = FIGURES.map(|(_, name, digits)| row.get(name).map_or(String::new(), |v| format!("{v:.digits$}")));
-            line(row.sequence, own.into_iter().chain(figures).collect());
-        }
-        out
+            own.into_iter().chain(figures).collect::<Vec<_>>()
+        };
+        let lines: Vec<Vec<String>> = std::iter::once(head).chain(self.points.iter().map(line)).collect();
+        format!("{} frames per sequence; PSNR in dB, SSIM and flicker (levels) of the side view\n", self.frames) + &table(1, &lines)
     }
 
     /// The results as a page with plots of error against run time and bytes.
@@ -187,7 +171,16 @@ impl Points {
 mod tests {
     #![allow(clippy::unwrap_used, reason = "test")]
 
+    use clap::Parser as _;
+
+    use super::super::Flags;
     use super::*;
+
+    #[derive(clap::Parser)]
+    struct Cli {
+        #[command(flatten)]
+        flags: Flags,
+    }
 
     fn points() -> Points {
         let point = |width, budget_ms, psnr| Point {
@@ -207,7 +200,6 @@ mod tests {
         let lines: Vec<&str> = table.lines().skip(1).collect();
         assert_eq!(lines.len(), 4);
         assert!(lines[1].contains("none") && lines[2].contains(" 10 ") && lines[3].contains("640x240"));
-        assert!(FIGURES.iter().all(|f| f.0.len() < 12));
         let one = Points { points: vec![points().points.remove(1)], ..points() }.table();
         assert!(one.contains("--budget-ms 10, 9 frames") && one.contains("side view, dB") && one.contains("23.000"), "{one}");
     }
@@ -222,35 +214,9 @@ mod tests {
 
     #[test]
     fn every_point_measures_the_sequences() {
-        let models = tmpi_pipeline::Models {
-            depth: std::sync::Arc::new(crate::oracle_depth::OracleDepth(tmpi_core::DisparityMap {
-                width: 0,
-                height: 0,
-                delta: Vec::new(),
-            })),
-            theta: None,
-            psi: None,
-        };
-        let settings = Settings {
-            size: (80, 64),
-            seed: super::super::SEED,
-            frames: 3,
-            every: 1,
-            bitrate: 100_000,
-            frame_ms: 0.0,
-            views: 2,
-            models,
-            depth: false,
-            max_error: tmpi_live::MAX_ERROR,
-            parallax: 0.25,
-            cooldown: tmpi_live::COOLDOWN,
-            late: 0,
-            follow: tmpi_core::live::MAX_MOTION_FRAMES,
-            recheck: tmpi_live::RECHECK,
-            only: None,
-            files: None,
-        };
+        let Cli { flags } = Cli::parse_from(["live-bench", "--frames", "3", "--views", "2", "--parallax", "0.25"]);
         let at = |width, budget_ms| OperatingPoint { size: (width, 64), bitrate: 100_000, budget_ms };
+        let settings = Settings { flags, at: at(80, 0.0), models: crate::oracle_depth::none(), depth: false };
         let found = measure(&settings, &[at(80, 0.0), at(96, 1e-3)], &|_| {}).unwrap();
         // without a depth network, only the sequence with measured depth runs
         assert_eq!(

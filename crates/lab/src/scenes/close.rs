@@ -4,15 +4,12 @@ use std::sync::Arc;
 
 use super::families::look;
 use super::indoor::{body, indoor_light, ring_or_stick};
-use super::math::{Frame, V3, fbm, v3};
-use super::objects::{Build, DOWN};
+use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, fbm, v3};
+use super::objects::Build;
 use super::outdoor::daylight;
 use super::outline::Outline;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour, hsv};
-
-const RIGHT: V3 = v3(1.0, 0.0, 0.0);
-const AHEAD: V3 = v3(0.0, 0.0, 1.0);
 
 /// A slightly rotated wall across the view at distance `d`, with a quiet or strong pattern.
 fn backdrop(b: &mut Build, d: f64) {
@@ -32,8 +29,7 @@ pub(super) fn heap(b: &mut Build) {
     for s in 0..steps {
         let s = f64::from(s);
         let (y, near) = (low - rise * s, d * (0.45 + 0.5 * s / f64::from(steps)));
-        let (g, t) = (b.w.group(), Texture::any(b.rng, 0.15 * d));
-        b.w.add(g, Frame::at(v3(0.0, y + d, near + d)), Shape::Cuboid(v3(d * 3.0, d, d)), t);
+        b.put(Texture::any(b.rng, 0.15 * d), Frame::at(v3(0.0, y + d, near + d)), Shape::Cuboid(v3(d * 3.0, d, d)));
         for _ in 0..b.rng.int(3, 11) {
             let z = near + d * b.rng.range(0.02, 0.2);
             let at = v3(b.rng.range(-0.75, 0.75) * z, y, z);
@@ -57,20 +53,18 @@ fn toy(b: &mut Build, at: V3, s: f64) {
         0..=2 => body(b, at - DOWN * (0.4 * s), s * 0.5),
         3 => b.person(at, s * 1.6, std::f64::consts::PI + b.rng.range(-0.8, 0.8)),
         4 => {
-            let (g, t) = (b.w.group(), Texture::any(b.rng, s * 0.3));
-            b.w.add(g, Frame::at(at - DOWN * (0.5 * s)), Shape::Cylinder(0.5 * s, 0.01 * s, s * b.rng.range(0.15, 0.35)), t);
+            let t = Texture::any(b.rng, s * 0.3);
+            b.put(t, Frame::at(at - DOWN * (0.5 * s)), Shape::Cylinder(0.5 * s, 0.01 * s, s * b.rng.range(0.15, 0.35)));
         }
         5 | 6 => {
             // a book, upright or leaning
-            let (g, t) = (b.w.group(), Texture::new(b.rng, Pattern::Print, s * b.rng.range(0.3, 1.5)));
+            let t = Texture::new(b.rng, Pattern::Print, s * b.rng.range(0.3, 1.5));
             let half = v3(s * b.rng.range(0.25, 0.5), s * 0.5, s * b.rng.log_range(0.02, 0.15));
-            let f = Frame::yaw(at - DOWN * half.y, b.rng.range(-1.2, 1.2));
-            b.w.add(g, f, Shape::Cuboid(half), t);
+            b.block(t, at, half, b.rng.range(-1.2, 1.2));
         }
         7 => {
-            let (g, t) = (b.w.group(), Texture::any(b.rng, s * 0.3));
-            let half = v3(s * 0.6, s * 0.45, s * 0.25);
-            b.w.add(g, Frame::yaw(at - DOWN * (s * 0.4), b.rng.range(-0.6, 0.6)), Shape::Ellipsoid(half), t);
+            let (t, half) = (Texture::any(b.rng, s * 0.3), v3(s * 0.6, s * 0.45, s * 0.25));
+            b.put(t, Frame::yaw(at - DOWN * (s * 0.4), b.rng.range(-0.6, 0.6)), Shape::Ellipsoid(half));
         }
         8 => b.vessel(at, s * 4.0),
         _ => {
@@ -85,8 +79,7 @@ pub(super) fn closeup(b: &mut Build) {
     let h = b.rng.log_range(0.2, 0.8);
     let (g, top) = (b.w.group(), Texture::any(b.rng, h * b.rng.log_range(0.1, 0.8)));
     b.w.add(g, Frame::yaw(v3(0.0, 0.03, 0.0), b.rng.range(-0.8, 0.8)), Shape::Cuboid(v3(h * 3.0, 0.03, h * b.rng.range(1.2, 4.0))), top);
-    let (g, floor) = (b.w.group(), Texture::any(b.rng, 0.4));
-    b.w.add(g, Frame::at(v3(0.0, 0.8, 0.0)), Shape::Plane, floor);
+    b.put(Texture::any(b.rng, 0.4), Frame::at(v3(0.0, 0.8, 0.0)), Shape::Plane);
     let pitch = b.rng.range(-80.0, -14.0);
     let back = (h / (-pitch).to_radians().tan()).min(2.2 * h);
     look(b, v3(b.rng.range(-0.2, 0.2) * h, -h, -back), b.rng.range(-12.0, 12.0), pitch, b.rng.range(-12.0, 12.0));
@@ -136,20 +129,19 @@ fn dish(b: &mut Build, at: V3, r: f64) {
     let food = Texture::any(b.rng, r * 0.3);
     let whole = b.rng.chance(0.45);
     if whole {
-        let g = b.w.group();
-        b.w.add(g, Frame::at(base), Shape::Cylinder(0.05 * r, 0.8 * r, 0.85 * r), food.clone());
+        b.put(food.clone(), Frame::at(base), Shape::Cylinder(0.05 * r, 0.8 * r, 0.85 * r));
     }
     for _ in 0..b.rng.int(4, 24) {
         let s = r * b.rng.log_range(0.05, 0.35);
         let (a, far) = (b.rng.range(-3.1, 3.1), r * 0.7 * b.rng.unit().sqrt());
         let p = base + v3(a.sin() * far, 0.0, a.cos() * far) - DOWN * if whole { 0.06 * r } else { 0.0 };
-        let g = b.w.group();
         let t = if b.rng.chance(0.4) { food.clone() } else { Texture::any(b.rng, s) };
         let m = b.rng.rotation();
-        match b.rng.int(0, 3) {
-            0 => b.w.add(g, Frame::turned(p - DOWN * (0.3 * s), &m), Shape::Cuboid(v3(s * 0.6, s * 0.25, s * 0.4)), t),
-            _ => b.w.add(g, Frame::turned(p - DOWN * (0.3 * s), &m), Shape::Ellipsoid(v3(s * 0.6, s * b.rng.range(0.2, 0.6), s * 0.5)), t),
-        }
+        let shape = match b.rng.int(0, 3) {
+            0 => Shape::Cuboid(v3(s * 0.6, s * 0.25, s * 0.4)),
+            _ => Shape::Ellipsoid(v3(s * 0.6, s * b.rng.range(0.2, 0.6), s * 0.5)),
+        };
+        b.put(t, Frame::turned(p - DOWN * (0.3 * s), &m), shape);
     }
 }
 
@@ -201,8 +193,7 @@ pub(super) fn foliage(b: &mut Build) {
     }
     let ground = b.rng.chance(0.6).then(|| d * b.rng.range(0.3, 0.9));
     if let Some(y) = ground {
-        let (g, t) = (b.w.group(), Texture::new(b.rng, Pattern::Foliage, d * 0.2));
-        b.w.add(g, Frame::at(v3(0.0, y, 0.0)), Shape::Plane, t);
+        b.put(Texture::new(b.rng, Pattern::Foliage, d * 0.2), Frame::at(v3(0.0, y, 0.0)), Shape::Plane);
     }
     for _ in 0..b.rng.int(1, 6) {
         let z = d * b.rng.log_range(0.7, 1.8);

@@ -8,12 +8,9 @@ use tmpi_core::Pose;
 
 type Make = fn(&mut Build);
 
-/// Number of families.
-pub const FAMILY_COUNT: usize = 18;
-
 /// Name, frequency and builder. A quarter of all scenes has no vertical depth trend, or a reversed one: most shelves, heaps, drapes,
 /// figures and floating objects, and rooms and streets seen upwards.
-const FAMILIES: [(&str, f64, Make); FAMILY_COUNT] = [
+const FAMILIES: [(&str, f64, Make); 18] = [
     ("room", 0.13, indoor::room),
     ("corridor", 0.03, places::corridor),
     ("lounge", 0.06, places::lounge),

@@ -1,7 +1,7 @@
 //! Scenes inside a furnished model: a house, a shop, a hall.
 
 use super::families::look;
-use super::math::{Frame, V3, v3};
+use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, v3};
 use super::objects::Build;
 use super::shape::Shape;
 use super::texture::Texture;
@@ -27,8 +27,7 @@ pub(super) fn inside(b: &mut Build) -> bool {
         v3(within(wide), -b.rng.range(low, high), within(deep))
     };
     let stuck = |at: V3, d: V3| model.parts.iter().any(|p| p.hit(at, d, 0.0, CLEARANCE).is_some());
-    let axes = [v3(1.0, 0.0, 0.0), v3(0.0, 1.0, 0.0), v3(0.0, 0.0, 1.0)];
-    let is_free = |at: V3| axes.iter().all(|d| !stuck(at, *d) && !stuck(at, -*d));
+    let is_free = |at: V3| [RIGHT, DOWN, AHEAD].iter().all(|d| !stuck(at, *d) && !stuck(at, -*d));
     // if no position is free, the picture shows it, and the scene is rejected
     let eye = (0..32).map(|_| place(b, 0.9, 2.0)).find(|at| is_free(*at)).unwrap_or(v3(0.0, -1.5, 0.0));
     for _ in 0..b.rng.int(2, 4) {

@@ -1,15 +1,12 @@
 //! Families of close-range and indoor scenes: room, shelf, table, figures, floating objects.
 
 use super::families::look;
-use super::math::{Frame, V3, v3};
-use super::objects::{Build, DOWN};
+use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, v3};
+use super::objects::Build;
 use super::outline::Outline;
 use super::shape::Shape;
 use super::texture::{Pattern, Texture, colour};
 use super::world::Light;
-
-const RIGHT: V3 = v3(1.0, 0.0, 0.0);
-const AHEAD: V3 = v3(0.0, 0.0, 1.0);
 
 /// A room, seen from a random position inside at any yaw.
 pub(super) fn room(b: &mut Build) {
@@ -132,18 +129,13 @@ fn furnish(b: &mut Build, p: V3, h: f64, hx: f64, hz: f64) {
         }
         6 => b.person(p, b.rng.range(1.4, 1.9), yaw),
         7 => {
-            let g = b.w.group();
             let t = Texture::any(b.rng, 0.4);
             let half = v3(b.rng.range(0.2, 0.8), b.rng.log_range(0.1, 1.0), b.rng.range(0.15, 0.5));
-            b.w.add(g, Frame::yaw(p - DOWN * half.y, yaw), Shape::Cuboid(half), t);
+            b.block(t, p, half, yaw);
             b.vessel(p - DOWN * (2.0 * half.y), 1.5);
         }
-        8 => {
-            // a bed or a low bench with a blanket's edge
-            let g = b.w.group();
-            let t = Texture::any(b.rng, 0.5);
-            b.w.add(g, Frame::yaw(p - DOWN * 0.28, yaw), Shape::Cuboid(v3(0.8, 0.28, 1.0)), t);
-        }
+        // a bed or a low bench with a blanket's edge
+        8 => b.block(Texture::any(b.rng, 0.5), p, v3(0.8, 0.28, 1.0), yaw),
         9 => {
             let g = b.w.group();
             let t = Texture::any(b.rng, 0.3);
@@ -158,10 +150,8 @@ fn furnish(b: &mut Build, p: V3, h: f64, hx: f64, hz: f64) {
             b.w.add(g, Frame::at(top), Shape::Cylinder(0.12, 0.12, 0.2), shade);
         }
         11 => {
-            let g = b.w.group();
             let r = b.rng.range(0.1, 0.4);
-            let t = Texture::any(b.rng, 0.2);
-            b.w.add(g, Frame::at(p - DOWN * r), Shape::Ellipsoid(v3(r, r, r)), t);
+            b.put(Texture::any(b.rng, 0.2), Frame::at(p - DOWN * r), Shape::Ellipsoid(v3(r, r, r)));
         }
         12 => b.vessel(p, b.rng.range(2.0, 4.0)),
         _ => {
@@ -192,9 +182,8 @@ pub(super) fn shelf(b: &mut Build) {
     let rows = b.rng.int(1, 4);
     if b.rng.chance(0.55) {
         // a board or a floor below the objects
-        let (g, y) = (b.w.group(), b.rng.range(0.25, 0.55) * d);
-        let board = Texture::any(b.rng, 0.15 * d);
-        b.w.add(g, Frame::at(v3(0.0, y, 0.0)), Shape::Plane, board);
+        let y = b.rng.range(0.25, 0.55) * d;
+        b.put(Texture::any(b.rng, 0.15 * d), Frame::at(v3(0.0, y, 0.0)), Shape::Plane);
         for _ in 0..b.rng.int(4, 16) {
             let z = d * b.rng.range(0.4, 0.95);
             let at = v3(b.rng.range(-0.7, 0.7) * z, y, z);
@@ -215,11 +204,11 @@ pub(super) fn shelf(b: &mut Build) {
                 0 | 1 => b.vessel(at, d * b.rng.range(0.6, 1.8)),
                 2 => ring_or_stick(b, at, d * 0.3),
                 3 => {
-                    let (g, t) = (b.w.group(), Texture::new(b.rng, b.rng.pick(&Pattern::STRONG), 0.06 * d));
+                    let t = Texture::new(b.rng, b.rng.pick(&Pattern::STRONG), 0.06 * d);
                     let half = v3(b.rng.range(0.03, 0.25), b.rng.range(0.03, 0.25), b.rng.range(0.01, 0.1)) * d;
                     let m = b.rng.rotation();
                     let f = if b.rng.chance(0.3) { Frame::turned(at, &m) } else { Frame::yaw(at, b.rng.range(-0.8, 0.8)) };
-                    b.w.add(g, f, Shape::Cuboid(half), t);
+                    b.put(t, f, Shape::Cuboid(half));
                 }
                 _ => {
                     let s = d * b.rng.range(0.1, 0.35);
@@ -253,7 +242,6 @@ pub(super) fn indoor_light(b: &mut Build, at: V3) {
 /// A laid table, usually seen steeply from above.
 pub(super) fn table(b: &mut Build) {
     let h = b.rng.log_range(0.3, 1.2);
-    let g = b.w.group();
     let pattern = b.rng.pick(&[
         Pattern::Planks,
         Pattern::Plain,
@@ -267,10 +255,8 @@ pub(super) fn table(b: &mut Build) {
     ]);
     let top = Texture::new(b.rng, pattern, b.rng.log_range(0.03, 0.3));
     let (x, z) = (b.rng.range(0.4, 1.6), b.rng.range(0.3, 1.2));
-    let f = Frame::yaw(v3(0.0, 0.03, 0.0), b.rng.range(-3.1, 3.1));
-    b.w.add(g, f, Shape::Cuboid(v3(x, 0.03, z)), top);
-    let (g, floor) = (b.w.group(), Texture::any(b.rng, 0.3));
-    b.w.add(g, Frame::at(v3(0.0, 0.78, 0.0)), Shape::Plane, floor);
+    b.put(top, Frame::yaw(v3(0.0, 0.03, 0.0), b.rng.range(-3.1, 3.1)), Shape::Cuboid(v3(x, 0.03, z)));
+    b.put(Texture::any(b.rng, 0.3), Frame::at(v3(0.0, 0.78, 0.0)), Shape::Plane);
     let pitch = if b.rng.chance(0.45) { b.rng.range(-35.0, -12.0) } else { b.rng.range(-90.0, -30.0) };
     let back = h * (90.0 + pitch).to_radians().tan().min(1.6);
     look(b, v3(0.0, -h, -back), b.rng.range(-12.0, 12.0), pitch, b.rng.range(-15.0, 15.0));
@@ -280,9 +266,9 @@ pub(super) fn table(b: &mut Build) {
         match b.rng.int(0, 7) {
             0..=4 => b.vessel(at, s),
             5 => {
-                let (g, t) = (b.w.group(), Texture::any(b.rng, 0.1));
+                let t = Texture::any(b.rng, 0.1);
                 let half = v3(b.rng.range(0.05, 0.2), b.rng.range(0.002, 0.02), b.rng.range(0.05, 0.15)) * s;
-                b.w.add(g, Frame::yaw(at - DOWN * half.y, b.rng.range(-3.0, 3.0)), Shape::Cuboid(half), t);
+                b.block(t, at, half, b.rng.range(-3.0, 3.0));
             }
             6 => {
                 // cutlery or a pen
@@ -342,8 +328,7 @@ pub(super) fn figures(b: &mut Build) {
     }
     let ground = b.rng.chance(0.35);
     if ground {
-        let (g, t) = (b.w.group(), Texture::any(b.rng, 0.5));
-        b.w.add(g, Frame::at(v3(0.0, b.rng.range(1.0, 1.8), 0.0)), Shape::Plane, t);
+        b.put(Texture::any(b.rng, 0.5), Frame::at(v3(0.0, b.rng.range(1.0, 1.8), 0.0)), Shape::Plane);
     }
     for _ in 0..b.rng.int(0, 7) {
         let z = far * b.rng.range(0.45, 0.9);
@@ -400,8 +385,8 @@ pub(super) fn floating(b: &mut Build) {
     look(b, V3::default(), 0.0, 0.0, 0.0);
     let far = b.rng.log_range(2.0, 10.0);
     let m = tmpi_core::Pose { yaw: b.rng.range(-60.0, 60.0), pitch: b.rng.range(-60.0, 60.0), ..Default::default() }.orientation();
-    let (g, back) = (b.w.group(), Texture::any(b.rng, far * 0.3));
-    b.w.add(g, Frame::turned(v3(0.0, 0.0, far), &m), Shape::Card(far * 6.0, far * 6.0, Outline::Full), back);
+    let back = Shape::Card(far * 6.0, far * 6.0, Outline::Full);
+    b.put(Texture::any(b.rng, far * 0.3), Frame::turned(v3(0.0, 0.0, far), &m), back);
     for _ in 0..b.rng.int(4, 20) {
         let z = far * b.rng.range(0.25, 0.8);
         let at = v3(b.rng.range(-0.9, 0.9) * z, b.rng.range(-0.8, 0.8) * z, z);

@@ -91,6 +91,10 @@ impl V3 {
     }
 }
 
+pub(super) const RIGHT: V3 = v3(1.0, 0.0, 0.0);
+pub(super) const DOWN: V3 = v3(0.0, 1.0, 0.0);
+pub(super) const AHEAD: V3 = v3(0.0, 0.0, 1.0);
+
 /// Orthonormal frame: origin, and local x, y and z axes in world coordinates.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Frame {
@@ -100,7 +104,7 @@ pub(super) struct Frame {
 
 impl Frame {
     pub fn at(origin: V3) -> Self {
-        Self { origin, axes: [v3(1.0, 0.0, 0.0), v3(0.0, 1.0, 0.0), v3(0.0, 0.0, 1.0)] }
+        Self { origin, axes: [RIGHT, DOWN, AHEAD] }
     }
 
     /// A frame whose axes are the columns of `m`.
@@ -117,7 +121,7 @@ impl Frame {
     /// A frame whose y axis is along `axis`; the other axes are arbitrary.
     pub fn along(origin: V3, axis: V3) -> Self {
         let y = axis.unit();
-        let helper = if y.x.abs() < 0.8 { v3(1.0, 0.0, 0.0) } else { v3(0.0, 0.0, 1.0) };
+        let helper = if y.x.abs() < 0.8 { RIGHT } else { AHEAD };
         let z = helper.cross(y).unit();
         Self { origin, axes: [y.cross(z), y, z] }
     }

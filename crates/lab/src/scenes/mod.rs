@@ -26,7 +26,6 @@ use math::{Rng, V3, v3};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 use world::{Hit, World};
 
-pub use families::FAMILY_COUNT;
 pub use model::{FARTHEST, MAX_TEXELS, MAX_TRIANGLES, Model, ModelError, Models, Up};
 pub use photo_texture::Pictures;
 
@@ -48,7 +47,6 @@ pub struct Assets {
 /// disparity 1 and the sky has 0.
 #[derive(Debug)]
 pub struct Scene {
-    seed: u64,
     family: &'static str,
     world: World,
     /// Metres from the reference camera to its nearest surface.
@@ -81,12 +79,6 @@ impl Rays {
 }
 
 impl Scene {
-    /// The scene of a seed, scaled for pictures of 384 × 256 pixels.
-    #[must_use]
-    pub fn new(seed: u64) -> Self {
-        Self::framed(seed, 384, 256)
-    }
-
     /// The scene of a seed, scaled so that the nearest surface in the reference picture of `width × height` pixels (each at
     /// least 1) has disparity 1.
     #[must_use]
@@ -102,7 +94,7 @@ impl Scene {
         for attempt in 0..24u64 {
             let rng = Rng::with(seed.wrapping_mul(64).wrapping_add(attempt), assets);
             let (family, world) = families::compose(&rng);
-            let mut scene = Self { seed, family, world, unit: 1.0, size };
+            let mut scene = Self { family, world, unit: 1.0, size };
             let good = scene.expose(&rng);
             if good {
                 scene.unit = scene.nearest();
@@ -111,16 +103,9 @@ impl Scene {
             last = Some(scene);
         }
         // does not happen in practice: all attempts gave empty or flat pictures
-        let mut scene =
-            last.unwrap_or_else(|| Self { seed, family: "empty", world: World::new(&Rng::with(seed, assets)), unit: 1.0, size });
+        let mut scene = last.unwrap_or_else(|| Self { family: "empty", world: World::new(&Rng::with(seed, assets)), unit: 1.0, size });
         scene.unit = scene.nearest();
         scene
-    }
-
-    /// The scene's seed.
-    #[must_use]
-    pub fn seed(&self) -> u64 {
-        self.seed
     }
 
     /// The scene's family: `room`, `corridor`, `lounge`, `kitchen`, `street`, `field`, `water`, `terrain`, `crowd`, `thin`, `foliage`,

@@ -1,12 +1,10 @@
 //! Compound objects for scenes: people, trees, furniture, vessels, cars, fences.
 
-use super::math::{Frame, Rng, V3, v3};
+use super::math::{DOWN, Frame, Rng, V3, v3};
 use super::outline::Outline;
 use super::shape::Shape;
 use super::texture::{Pattern, Texture, colour, hsv};
 use super::world::World;
-
-pub(super) const DOWN: V3 = v3(0.0, 1.0, 0.0);
 
 pub(super) struct Build<'a> {
     pub w: &'a mut World,
@@ -14,6 +12,17 @@ pub(super) struct Build<'a> {
 }
 
 impl Build<'_> {
+    /// Adds an object that is not part of another.
+    pub fn put(&mut self, texture: Texture, frame: Frame, shape: Shape) {
+        let group = self.w.group();
+        self.w.add(group, frame, shape, texture);
+    }
+
+    /// Adds a box of half extents `half`; `at` is the centre of its footprint.
+    pub fn block(&mut self, texture: Texture, at: V3, half: V3, yaw: f64) {
+        self.put(texture, Frame::yaw(at - DOWN * half.y, yaw), Shape::Cuboid(half));
+    }
+
     fn ball(&mut self, g: u32, centre: V3, r: V3, t: Texture) {
         self.w.add(g, Frame::at(centre), Shape::Ellipsoid(r), t);
     }
@@ -206,9 +215,7 @@ impl Build<'_> {
         for _ in 0..self.rng.int(0, 3) {
             let c = self.cloth();
             let p = f.point_out(v3(self.rng.range(-w, w) * 0.7, -0.6, 0.15));
-            let frame = Frame::yaw(p, yaw + self.rng.range(-0.5, 0.5));
-            let g = self.w.group();
-            self.w.add(g, frame, Shape::Ellipsoid(v3(0.22, 0.2, 0.09)), c);
+            self.put(c, Frame::yaw(p, yaw + self.rng.range(-0.5, 0.5)), Shape::Ellipsoid(v3(0.22, 0.2, 0.09)));
         }
     }
 
@@ -279,11 +286,10 @@ impl Build<'_> {
                 let r = self.rng.range(0.08, 0.16);
                 cyl(self.w, 0.008, 0.008, r, r * 0.7, t);
                 for _ in 0..self.rng.int(0, 7) {
-                    let g = self.w.group();
                     let food = Texture::any(self.rng, 0.03);
                     let size = v3(self.rng.range(0.01, 0.05), self.rng.range(0.008, 0.03), self.rng.range(0.01, 0.05)) * s;
                     let off = v3(self.rng.range(-0.6, 0.6) * r, -0.018, self.rng.range(-0.6, 0.6) * r) * s;
-                    self.w.add(g, Frame::at(at + off), Shape::Ellipsoid(size), food);
+                    self.put(food, Frame::at(at + off), Shape::Ellipsoid(size));
                 }
             }
             4 => cyl(self.w, 0.04, 0.04, self.rng.range(0.07, 0.14), 0.05, t),

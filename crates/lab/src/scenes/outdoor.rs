@@ -4,14 +4,12 @@ use std::sync::Arc;
 
 use super::families::look;
 use super::indoor::ring_or_stick;
-use super::math::{Frame, V3, fbm, v3};
-use super::objects::{Build, DOWN};
+use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, fbm, v3};
+use super::objects::Build;
 use super::outline::Outline;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour, hsv};
 use super::world::Light;
-
-const AHEAD: V3 = v3(0.0, 0.0, 1.0);
 
 /// Sets sun, sky and haze for a random time of day.
 pub(super) fn daylight(b: &mut Build) {
@@ -72,7 +70,7 @@ pub(super) fn street(b: &mut Build) {
     let paint = Texture::plain(b.rng, v3(0.7, 0.7, 0.65));
     for i in 0..14 {
         let at = v3(0.0, -0.003, f64::from(i) * 5.0 - 10.0);
-        b.w.card(g, at, v3(1.0, 0.0, 0.0), AHEAD, (0.08, 1.2), Outline::Full, paint.clone());
+        b.w.card(g, at, RIGHT, AHEAD, (0.08, 1.2), Outline::Full, paint.clone());
     }
     let walk = b.rng.range(1.0, 3.0);
     for side in [-1.0, 1.0] {
@@ -97,9 +95,8 @@ pub(super) fn street(b: &mut Build) {
             let pattern =
                 b.rng.pick(&[Pattern::Windows, Pattern::Windows, Pattern::Windows, Pattern::Bricks, Pattern::Noise, Pattern::Print]);
             let t = Texture::new(b.rng, pattern, b.rng.range(1.8, 3.8));
-            let g = b.w.group();
             let at = v3(side * (half + walk + 6.0 + deep), -tall * 0.5, z + long * 0.5);
-            b.w.add(g, Frame::at(at), Shape::Cuboid(v3(6.0, tall * 0.5, long * 0.5)), t);
+            b.put(t, Frame::at(at), Shape::Cuboid(v3(6.0, tall * 0.5, long * 0.5)));
             if b.rng.chance(0.4) {
                 let (g, awning) = (b.w.group(), Texture::new(b.rng, Pattern::Stripes, 0.4));
                 let at = v3(side * (half + walk + deep - 0.4), -b.rng.range(2.4, 3.4), z + long * 0.5);
@@ -206,9 +203,9 @@ pub(super) fn field(b: &mut Build) {
                 b.w.add(g, Frame::at(at - DOWN * r), Shape::Ellipsoid(v3(r, r, r)), t);
             }
             6 => {
-                let (g, t) = (b.w.group(), Texture::any(b.rng, 0.4));
+                let t = Texture::any(b.rng, 0.4);
                 let half = v3(b.rng.log_range(0.15, 1.5), b.rng.log_range(0.02, 0.8), b.rng.log_range(0.15, 1.5));
-                b.w.add(g, Frame::yaw(at - DOWN * half.y, b.rng.range(-3.0, 3.0)), Shape::Cuboid(half), t);
+                b.block(t, at, half, b.rng.range(-3.0, 3.0));
             }
             7 => b.car(at + AHEAD * 2.0, b.rng.range(-3.1, 3.1)),
             8 => b.tree(at, b.rng.log_range(1.5, 7.0)),

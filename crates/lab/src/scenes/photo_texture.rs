@@ -51,12 +51,17 @@ impl Levels {
         let (s, t) = ((x - x.floor()) as f32, (y - y.floor()) as f32);
         let around = |x: f64, n: usize| (x.floor().rem_euclid(n as f64) as usize, (x.floor() + 1.0).rem_euclid(n as f64) as usize);
         let ((i, i1), (j, j1)) = (around(x, *w), around(y, *h));
-        let mix = |c: usize| {
-            let row = |j: usize| texels[j * w + i][c] * (1.0 - s) + texels[j * w + i1][c] * s;
-            f64::from(row(j) * (1.0 - t) + row(j1) * t)
-        };
-        v3(mix(0), mix(1), mix(2))
+        mixed(texels, *w, [(i, i1), (j, j1)], (s, t))
     }
+}
+
+/// The bilinear mix of the texels in these two columns and rows.
+fn mixed(texels: &[[f32; 3]], width: usize, [(i, i1), (j, j1)]: [(usize, usize); 2], (s, t): (f32, f32)) -> V3 {
+    let mix = |c: usize| {
+        let row = |j: usize| texels[j * width + i][c] * (1.0 - s) + texels[j * width + i1][c] * s;
+        f64::from(row(j) * (1.0 - t) + row(j1) * t)
+    };
+    v3(mix(0), mix(1), mix(2))
 }
 
 /// A square piece of a picture, or a whole picture, repeated with mirroring.
@@ -120,10 +125,6 @@ impl Patch {
         let (i, j) = (x as usize, y as usize);
         let (i1, j1) = ((i + 1).min(w - 1), (j + 1).min(h - 1));
         let (s, t) = ((x - i as f64) as f32, (y - j as f64) as f32);
-        let mix = |c: usize| {
-            let row = |j: usize| texels[j * w + i][c] * (1.0 - s) + texels[j * w + i1][c] * s;
-            f64::from(row(j) * (1.0 - t) + row(j1) * t)
-        };
-        v3(mix(0), mix(1), mix(2))
+        mixed(texels, *w, [(i, i1), (j, j1)], (s, t))
     }
 }

@@ -4,22 +4,13 @@ use std::sync::Arc;
 
 use super::families::look;
 use super::indoor::indoor_light;
-use super::math::{Frame, V3, v3};
-use super::objects::{Build, DOWN};
+use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, v3};
+use super::objects::Build;
 use super::outdoor::daylight;
 use super::outline::Outline;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour};
 use super::world::Light;
-
-const RIGHT: V3 = v3(1.0, 0.0, 0.0);
-const AHEAD: V3 = v3(0.0, 0.0, 1.0);
-
-/// A box of half extents `half`; `at` is the centre of its footprint.
-fn block(b: &mut Build, at: V3, half: V3, yaw: f64, t: &Texture) {
-    let g = b.w.group();
-    b.w.add(g, Frame::yaw(at - DOWN * half.y, yaw), Shape::Cuboid(half), t.clone());
-}
 
 /// Floor, ceiling and four walls around the origin, with half extents `hx` and `hz` and height `h`. Walls may have large patterns.
 fn shell(b: &mut Build, hx: f64, hz: f64, h: f64) {
@@ -57,11 +48,11 @@ pub(super) fn corridor(b: &mut Build) {
             } else if b.rng.chance(0.5) {
                 let t = Texture::any(b.rng, 0.3);
                 let half = v3(b.rng.range(0.1, 0.4) * hx, b.rng.range(0.2, 1.0), b.rng.range(0.15, 0.6));
-                block(b, v3(side * (hx - half.x), 0.0, z), half, 0.0, &t);
+                b.block(t, v3(side * (hx - half.x), 0.0, z), half, 0.0);
             }
         }
         let lamp = Texture::of(b.rng, Pattern::Plain, 1.0, [v3(1.0, 0.97, 0.9); 3]).glowing(2.0);
-        block(b, v3(0.0, -h + 0.06, z), v3(0.25 * hx, 0.03, 0.3), 0.0, &lamp);
+        b.block(lamp, v3(0.0, -h + 0.06, z), v3(0.25 * hx, 0.03, 0.3), 0.0);
         z += gap;
     }
     for _ in 0..b.rng.int(0, 4) {
@@ -95,13 +86,14 @@ pub(super) fn lounge(b: &mut Build) {
             for i in 0..n {
                 let x = (f64::from(i) * 2.0 + 1.0 - f64::from(n)) * w;
                 let base = out * (reach - deep) + along * x;
-                block(b, base, v3(w * 0.98, low, deep), turn, &seat);
+                b.block(seat.clone(), base, v3(w * 0.98, low, deep), turn);
                 if b.rng.chance(0.85) {
-                    block(b, base + out * (deep - 0.12) - DOWN * (2.0 * low), v3(w * 0.97, b.rng.range(0.15, 0.25), 0.12), turn, &seat);
+                    let back = base + out * (deep - 0.12) - DOWN * (2.0 * low);
+                    b.block(seat.clone(), back, v3(w * 0.97, b.rng.range(0.15, 0.25), 0.12), turn);
                 }
                 if b.rng.chance(0.3) {
-                    let (g, t) = (b.w.group(), Texture::any(b.rng, 0.1));
-                    b.w.add(g, Frame::yaw(base - DOWN * (2.0 * low + 0.17), turn), Shape::Ellipsoid(v3(0.2, 0.18, 0.1)), t);
+                    let frame = Frame::yaw(base - DOWN * (2.0 * low + 0.17), turn);
+                    b.put(Texture::any(b.rng, 0.1), frame, Shape::Ellipsoid(v3(0.2, 0.18, 0.1)));
                 }
             }
         }
@@ -135,7 +127,7 @@ pub(super) fn lounge(b: &mut Build) {
             3 => {
                 let t = Texture::any(b.rng, 0.3);
                 let half = v3(b.rng.range(0.15, 0.6), b.rng.range(0.1, 0.4), b.rng.range(0.15, 0.5));
-                block(b, p, half, b.rng.range(-3.1, 3.1), &t);
+                b.block(t, p, half, b.rng.range(-3.1, 3.1));
                 b.vessel(p - DOWN * (2.0 * half.y), 1.2);
             }
             _ => b.vessel(p, b.rng.range(2.5, 4.5)),
@@ -159,8 +151,8 @@ pub(super) fn kitchen(b: &mut Build) {
         if b.rng.chance(0.35) {
             continue;
         }
-        block(b, at, half, 0.0, &front);
-        block(b, at - DOWN * 0.86, half.mul(v3(1.02, 0.04, 1.06)), 0.0, &top);
+        b.block(front.clone(), at, half, 0.0);
+        b.block(top.clone(), at - DOWN * 0.86, half.mul(v3(1.02, 0.04, 1.06)), 0.0);
         let along = if half.x > half.z { RIGHT * (hx * 0.9) } else { AHEAD * (hz * 0.9) };
         for _ in 0..b.rng.int(2, 12) {
             let p = at - DOWN * 0.89 + along * b.rng.range(-1.0, 1.0);
@@ -168,29 +160,25 @@ pub(super) fn kitchen(b: &mut Build) {
                 b.vessel(p, b.rng.range(1.0, 2.2));
             } else {
                 let t = Texture::any(b.rng, 0.15);
-                block(b, p, v3(b.rng.range(0.05, 0.25), b.rng.range(0.05, 0.25), b.rng.range(0.05, 0.2)), b.rng.range(-0.3, 0.3), &t);
+                let half = v3(b.rng.range(0.05, 0.25), b.rng.range(0.05, 0.25), b.rng.range(0.05, 0.2));
+                b.block(t, p, half, b.rng.range(-0.3, 0.3));
             }
         }
         if b.rng.chance(0.6) {
             // a board or cupboards above
             let tall = b.rng.log_range(0.02, 0.35);
-            block(
-                b,
-                at - DOWN * b.rng.range(1.3, 1.6) + v3(at.x, 0.0, at.z).unit() * 0.1,
-                v3(half.x, tall, half.z).mul(v3(0.95, 1.0, 0.95)),
-                0.0,
-                &front,
-            );
+            let at = at - DOWN * b.rng.range(1.3, 1.6) + v3(at.x, 0.0, at.z).unit() * 0.1;
+            b.block(front.clone(), at, v3(half.x, tall, half.z).mul(v3(0.95, 1.0, 0.95)), 0.0);
         }
     }
     let tall = b.rng.range(0.65, 0.8);
     let place = v3(b.rng.range(-0.3, 0.3) * hx, 0.0, b.rng.range(-0.5, 0.1) * hz);
     let (x, z, yaw) = (b.rng.range(0.4, 1.0), b.rng.range(0.35, 0.7), b.rng.range(-0.8, 0.8));
     let wood = Texture::any(b.rng, 0.3);
-    block(b, place - DOWN * tall, v3(x, 0.02, z), yaw, &wood);
+    b.block(wood.clone(), place - DOWN * tall, v3(x, 0.02, z), yaw);
     for (i, k) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
         let leg = Frame::yaw(place, yaw).point_out(v3(i * (x - 0.06), 0.0, k * (z - 0.06)));
-        block(b, leg, v3(0.035, tall * 0.5, 0.035), yaw, &wood);
+        b.block(wood.clone(), leg, v3(0.035, tall * 0.5, 0.035), yaw);
     }
     for _ in 0..b.rng.int(1, 8) {
         let p = Frame::yaw(place, yaw).point_out(v3(b.rng.range(-0.85, 0.85) * x, -tall - 0.04, b.rng.range(-0.85, 0.85) * z));
@@ -199,7 +187,7 @@ pub(super) fn kitchen(b: &mut Build) {
         } else {
             // paper or a magazine
             let t = Texture::new(b.rng, if b.rng.chance(0.5) { Pattern::Text } else { Pattern::Print }, 0.15);
-            block(b, p, v3(0.105, 0.002, 0.15), b.rng.range(-3.1, 3.1), &t);
+            b.block(t, p, v3(0.105, 0.002, 0.15), b.rng.range(-3.1, 3.1));
         }
     }
     for k in 0..b.rng.int(1, 5) {
@@ -293,8 +281,7 @@ pub(super) fn crowd(b: &mut Build) {
         indoor_light(b, v3(b.rng.range(-2.0, 2.0), -h + 0.4, deep * 0.3));
     } else {
         daylight(b);
-        let (g, t) = (b.w.group(), Texture::any(b.rng, b.rng.log_range(0.3, 3.0)));
-        b.w.add(g, Frame::at(V3::default()), Shape::Plane, t);
+        b.put(Texture::any(b.rng, b.rng.log_range(0.3, 3.0)), Frame::at(V3::default()), Shape::Plane);
     }
     let rise = if b.rng.chance(0.4) { b.rng.range(0.15, 0.6) } else { 0.0 };
     let near = b.rng.range(1.2, 3.0);
@@ -305,7 +292,7 @@ pub(super) fn crowd(b: &mut Build) {
         let z = near + step * f64::from(r);
         let y = -rise * f64::from(r);
         if rise > 0.0 {
-            block(b, v3(0.0, 0.0, z + step * 0.5 - 0.3), v3(deep, (-y * 0.5).max(0.01), step * 0.5), 0.0, &stand);
+            b.block(stand.clone(), v3(0.0, 0.0, z + step * 0.5 - 0.3), v3(deep, (-y * 0.5).max(0.01), step * 0.5), 0.0);
         }
         let gap = b.rng.range(0.6, 1.6);
         let n = ((1.4 * z / gap) as u32).clamp(1, 9);

@@ -16,7 +16,7 @@ fn single(shape: Shape, frame: Frame) -> Scene {
     let g = world.group();
     world.add(g, frame, shape, texture::Texture::any(&rng, 0.3));
     world.finish();
-    Scene { seed: 0, family: "test", world, unit: 1.0, size: (64, 48) }
+    Scene { family: "test", world, unit: 1.0, size: (64, 48) }
 }
 
 #[test]
@@ -211,7 +211,7 @@ fn whole_pictures_can_be_backdrops() {
 
 #[test]
 fn pictures_become_textures() {
-    let ramp = |w: u32, h: u32| Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % w * 255 / w) as u8, 40, 200]).collect() };
+    let ramp = |w, h| Photo::from_fn(w, h, |x, _| [(x * 255 / w) as u8, 40, 200]);
     let pictures = Pictures::new(&[ramp(97, 61), ramp(1, 1), Photo { width: 0, height: 0, rgb: Vec::new() }]);
     let draw = |seed, p: &Pictures| {
         let s = Scene::of(seed, 48, 32, &Assets { pictures: p.clone(), ..Assets::default() });

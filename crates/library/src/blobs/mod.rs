@@ -22,7 +22,7 @@ use crate::Millis;
 use crate::digest::{Digest, hex};
 use crate::error::{LibraryError, Result};
 use crate::ids::{PhotoId, random};
-use crate::photo::{Blob, Blobs, Part};
+use crate::photo::{Blob, Blobs, Part, blob_names};
 use folder::Folder;
 use objects::Objects;
 
@@ -106,6 +106,16 @@ enum Place {
     Objects(Objects),
 }
 
+/// Calls the same of either kind of store.
+macro_rules! on_either {
+    ($blobs:ident, $store:ident => $call:expr) => {
+        match &$blobs.0 {
+            Place::Folder($store) => $call,
+            Place::Objects($store) => $call,
+        }
+    };
+}
+
 impl BlobStore {
     /// A local folder, created if missing.
     pub(crate) fn folder(path: &Path, reserve: Reserve) -> Result<Self> {
@@ -145,19 +155,30 @@ impl BlobStore {
     /// # Errors
     /// [`LibraryError::StorageFull`].
     pub fn check_space(&self, bytes: u64) -> Result<()> {
-        match &self.0 {
-            Place::Folder(folder) => folder.check_space(bytes),
-            Place::Objects(_) => Ok(()),
-        }
+        let Place::Folder(folder) = &self.0 else { return Ok(()) };
+        folder.check_space(bytes)
     }
 
     /// Free space of the disk; `None` for an object store.
     #[must_use]
     pub fn disk_space(&self) -> Option<DiskSpace> {
-        match &self.0 {
-            Place::Folder(folder) => folder.disk_space(),
-            Place::Objects(_) => None,
+        let Place::Folder(folder) = &self.0 else { return None };
+        folder.disk_space()
+    }
+
+    /// Stores contents of a photo for a change that refers to them. If the change fails, deletes them; after an error that may have come
+    /// after its commit, they stay for `gc`.
+    pub(crate) async fn store_for<T, F>(&self, photo: PhotoId, contents: Contents, change: impl FnOnce(Blobs) -> F) -> Result<T>
+    where
+        F: Future<Output = Result<T>>,
+    {
+        let blobs = if contents.is_empty() { Blobs::new() } else { self.store(photo, contents).await? };
+        let written = blob_names(&blobs);
+        let changed = change(blobs).await;
+        if !matches!(changed, Ok(_) | Err(LibraryError::Unavailable { .. } | LibraryError::Internal(_))) {
+            self.discard(written).await;
         }
+        changed
     }
 
     /// Stores contents of a photo. All are durable when this returns; after an error it may leave orphans.
@@ -195,17 +216,11 @@ impl BlobStore {
     }
 
     async fn put_all(&self, writes: Vec<Write>) -> Result<()> {
-        match &self.0 {
-            Place::Folder(folder) => folder.put_all(writes).await,
-            Place::Objects(objects) => objects.put_all(writes).await,
-        }
+        on_either!(self, store => store.put_all(writes).await)
     }
 
     async fn get(&self, name: &str, range: Option<Range<u64>>) -> Result<Bytes> {
-        match &self.0 {
-            Place::Folder(folder) => folder.get(name, range).await,
-            Place::Objects(objects) => objects.get(name, range).await,
-        }
+        on_either!(self, store => store.get(name, range).await)
     }
 
     /// A range of a blob's bytes.
@@ -238,17 +253,12 @@ impl BlobStore {
     /// The file of a blob, if the store is a local folder.
     #[must_use]
     pub fn path(&self, blob: &Blob) -> Option<PathBuf> {
-        match &self.0 {
-            Place::Folder(folder) => Some(folder.path(&blob.name)),
-            Place::Objects(_) => None,
-        }
+        let Place::Folder(folder) = &self.0 else { return None };
+        Some(folder.path(&blob.name))
     }
 
     pub(crate) async fn delete(&self, name: &str) -> Result<()> {
-        match &self.0 {
-            Place::Folder(folder) => folder.delete(name).await,
-            Place::Objects(objects) => objects.delete(name).await,
-        }
+        on_either!(self, store => store.delete(name).await)
     }
 
     /// Deletes blobs without references. If that fails, `gc` deletes them later.
@@ -258,14 +268,6 @@ impl BlobStore {
                 tracing::warn!(name, %error, "cannot delete a blob; gc will");
             }
         }
-    }
-
-    /// Deletes the blobs of a change that failed. After an error that may have come after the commit, they stay for `gc`.
-    pub(crate) async fn discard_refused(&self, written: Vec<String>, error: LibraryError) -> LibraryError {
-        if !matches!(error, LibraryError::Unavailable { .. } | LibraryError::Internal(_)) {
-            self.discard(written).await;
-        }
-        error
     }
 
     /// [`Self::discard`], in an object store after [`READERS`]: readers fetch objects piece by piece, while they keep files open.
@@ -284,10 +286,7 @@ impl BlobStore {
 
     /// Blobs in the folder `prefix`: those of photos whose ids begin with it.
     pub(crate) async fn list(&self, prefix: &str) -> Result<Vec<Listed>> {
-        match &self.0 {
-            Place::Folder(folder) => folder.list(prefix).await,
-            Place::Objects(objects) => objects.list(prefix).await,
-        }
+        on_either!(self, store => store.list(prefix).await)
     }
 
     /// The store's time.

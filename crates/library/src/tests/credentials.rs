@@ -2,7 +2,6 @@ use super::*;
 
 on_both! {
     keys_can_be_added_expire_and_be_removed,
-    a_session_expires,
 }
 
 fn later(bed: &Bed, library: &Library, by: Duration) {
@@ -32,13 +31,4 @@ async fn keys_can_be_added_expire_and_be_removed(bed: Bed) {
     for name in ["", "a b", "ä", &"x".repeat(65)] {
         assert!(matches!(library.add_key(name, &[], None).await, Err(LibraryError::Invalid(_))), "{name}");
     }
-}
-
-async fn a_session_expires(bed: Bed) {
-    let library = bed.node().await;
-    let (ann, hour) = (Owner::of_secret("ann"), Duration::from_hours(1));
-    let secret = library.open_session(&ann, hour).await.unwrap();
-    assert_eq!(library.session_owner(&secret).await.unwrap(), Some(ann));
-    later(&bed, &library, hour);
-    assert_eq!(library.session_owner(&secret).await.unwrap(), None);
 }

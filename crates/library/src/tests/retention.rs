@@ -6,7 +6,7 @@ const DAY: i64 = 86_400_000;
 on_both! {
     photos_expire_by_age_but_not_by_a_clock_that_jumps,
     the_least_recently_viewed_photos_are_deleted_for_space,
-    exports_and_sessions_expire,
+    exports_expire,
 }
 
 async fn photos_expire_by_age_but_not_by_a_clock_that_jumps(bed: Bed) {
@@ -60,14 +60,13 @@ async fn the_least_recently_viewed_photos_are_deleted_for_space(bed: Bed) {
     assert_eq!(sweeper.sweep().await.unwrap(), Swept::default());
 }
 
-async fn exports_and_sessions_expire(bed: Bed) {
+async fn exports_expire(bed: Bed) {
     let library = bed.node_with(Limits { exports_for: Duration::from_hours(1), ..Limits::default() }).await;
     let photo = done(&library, 1, owner("ann")).await;
     for key in ["a", "b"] {
         order(&library, &photo, JobKind::Film, key, &owner("ann")).await.unwrap();
         write_next(&library, b"film").await;
     }
-    library.open_session(&Owner::of_secret("ann"), Duration::from_mins(1)).await.unwrap();
     assert_eq!(library.sweep().await.unwrap(), Swept::default());
     bed.jump(DAY / 48);
     library.note_export_fetch(&library.job(JobKind::Film, photo.id, Some("a")).await.unwrap()).await.unwrap();
@@ -77,5 +76,4 @@ async fn exports_and_sessions_expire(bed: Bed) {
         library.job(JobKind::Film, photo.id, Some("a")).await.is_ok() && library.job(JobKind::Film, photo.id, Some("b")).await.is_err()
     );
     assert_eq!(bed.blobs(&library).await.len(), 4);
-    assert_eq!(count(&library, "sessions").await, 0);
 }

@@ -42,9 +42,8 @@ fn room(settings: Settings) -> (Arc<Bright>, FramePipeline) {
 /// A square at `x` in front of a wall that gets nearer to the right.
 fn frame(number: u64, x: u32) -> Frame {
     let (width, height) = (240, 136);
-    let pixel =
-        |i: u32| if (x..x + 40).contains(&(i % width)) && (40..100).contains(&(i / width)) { 200 } else { 40 + (i % width / 4) as u8 };
-    let photo = Photo { width, height, rgb: (0..width * height).map(|i| [pixel(i); 3]).collect() };
+    let pixel = |u: u32, v: u32| if (x..x + 40).contains(&u) && (40..100).contains(&v) { 200 } else { 40 + (u / 4) as u8 };
+    let photo = Photo::from_fn(width, height, |u, v| [pixel(u, v); 3]);
     Frame { number, at: Duration::from_millis(33 * number), photo, depth: None }
 }
 

@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used, reason = "test")]
 
 use proptest::prelude::*;
-use tmpi_core::{Camera, Grid, Intrinsics, Pose, ViewBox};
+use tmpi_core::{Camera, Grid, Intrinsics, Pose, ViewBox, homography};
 
 use super::*;
 
@@ -15,7 +15,7 @@ fn apart(g: &Geometry, index: u32, (x, y): (u32, u32), a: &Plane, b: &Plane) -> 
         let pose = Pose::at(side(0, v.x), side(1, v.y), side(2, v.z));
         let camera = Camera { pose, intrinsics: k, width: g.grid.width, height: g.grid.height };
         let place = |plane: &Plane| {
-            let h = camera.homography_of(plane, g.grid.centre(index), g.grid.half(), &k);
+            let h = homography(plane.normal(g.grid.centre(index), g.grid.half(), &k), &k, &camera);
             let p = [f64::from(x) + 0.5, f64::from(y) + 0.5, 1.0];
             let [px, py, w] = h.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2]);
             (px / w, py / w)

@@ -68,20 +68,9 @@ impl Decoder for Vp9 {
 #[cfg(test)]
 mod tests {
     use sha2::{Digest as _, Sha256};
+    use tmpi_testing::pictures::ivf_frames as frames;
 
     use super::*;
-
-    /// Frames of an IVF file.
-    fn frames(mut file: &[u8]) -> Vec<&[u8]> {
-        let mut frames = Vec::new();
-        file = &file[32..];
-        while let Some((head, rest)) = file.split_first_chunk::<12>() {
-            let (frame, rest) = rest.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
-            frames.push(frame);
-            file = rest;
-        }
-        frames
-    }
 
     const FILM: &[u8] = include_bytes!("../../tests/video/testsrc.ivf");
     const SIZE: (u32, u32) = (174, 142);

@@ -85,15 +85,6 @@ fn shape(out: &[Tensor], want: usize) -> StageError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::networks::OnnxError;
-
-    struct Fake(fn(&Tensor) -> Vec<Tensor>);
-
-    impl Network for Fake {
-        fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
-            Ok((self.0)(&inputs[0]))
-        }
-    }
 
     fn input(w: u32, h: u32) -> (Photo, DisparityMap) {
         let n = (w * h) as usize;
@@ -112,7 +103,7 @@ mod tests {
     fn a_network_that_returns_its_input_changes_nothing() {
         for (w, h) in [(64, 48), (100, 37), (1, 1), (1, 700), (2000, 3), (900, 800)] {
             let (photo, delta) = input(w, h);
-            let (clean, confidence) = run(&Fake(|t| vec![map(t, |d| d), map(t, |_| 0.5)]), &photo, &delta).unwrap();
+            let (clean, confidence) = run(&|t: &Tensor| vec![map(t, |d| d), map(t, |_| 0.5)], &photo, &delta).unwrap();
             assert_eq!(clean, delta, "{w}x{h}");
             assert!(confidence.iter().all(|c| (c - 0.5).abs() < 1e-5));
         }
@@ -127,11 +118,11 @@ mod tests {
             |t| vec![map(t, |_| f32::NEG_INFINITY), map(t, |_| f32::NEG_INFINITY)],
         ];
         for network in nothing {
-            let (clean, confidence) = run(&Fake(network), &photo, &delta).unwrap();
+            let (clean, confidence) = run(&network, &photo, &delta).unwrap();
             assert_eq!(clean, delta);
             assert!(confidence.iter().all(|c| (c - LEAST).abs() < f32::EPSILON));
         }
-        assert!(matches!(run(&Fake(|_| vec![]), &photo, &delta), Err(StageError::Shape { .. })));
+        assert!(matches!(run(&|_: &Tensor| vec![], &photo, &delta), Err(StageError::Shape { .. })));
     }
 
     #[test]
@@ -152,7 +143,8 @@ mod tests {
     fn maps_of_any_size_reach_the_network_unresampled() {
         for (w, h) in [(630, 350), (700, 500)] {
             let (photo, delta) = input(w, h);
-            let (clean, _) = run(&Fake(|t| vec![map(t, |d| if d > 0.45 { 1.0 } else { 0.0 }), map(t, |_| 1.0)]), &photo, &delta).unwrap();
+            let (clean, _) =
+                run(&|t: &Tensor| vec![map(t, |d| if d > 0.45 { 1.0 } else { 0.0 }), map(t, |_| 1.0)], &photo, &delta).unwrap();
             assert!(clean.delta.iter().zip(&delta.delta).all(|(c, d)| (*c > 0.5) == (*d > 0.45)), "{w}x{h}");
         }
     }

@@ -304,8 +304,6 @@ fn covered(i: usize, ratio: f64, n: usize) -> (usize, usize) {
 
 #[cfg(test)]
 mod tests {
-    use std::io::Cursor;
-
     use super::*;
 
     fn from_map(bytes: &[u8], kind: DepthKind, width: u32, height: u32) -> Result<DisparityMap, DepthError> {
@@ -313,7 +311,8 @@ mod tests {
     }
 
     use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb};
-    use tmpi_testing::pictures::encoded;
+    use tmpi_testing::jpeg::with_profile;
+    use tmpi_testing::pictures::{encoded, jpeg};
 
     fn png(image: impl Into<DynamicImage>) -> Vec<u8> {
         encoded(image, ImageFormat::Png)
@@ -390,14 +389,8 @@ mod tests {
         let value = |x: u32, y: u32| (x * 6 + y * 3) as u8;
         let rgb = ImageBuffer::from_fn(40, 30, |x, y| Rgb([value(x, y); 3]));
         let rgb16 = ImageBuffer::from_fn(40, 30, |x, y| Rgb([u16::from(value(x, y)) * 257; 3]));
-        let jpeg = |image: DynamicImage| {
-            let mut out = Cursor::new(Vec::new());
-            image.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 100)).unwrap();
-            out.into_inner()
-        };
         let luma = DynamicImage::from(rgb.clone()).to_luma8();
-        let files =
-            [(png(rgb.clone()), 0.0), (png(rgb16), 0.0), (jpeg(rgb.clone().into()), 2.01 / 255.0), (jpeg(luma.into()), 2.01 / 255.0)];
+        let files = [(png(rgb.clone()), 0.0), (png(rgb16), 0.0), (jpeg(rgb.clone(), 100), 2.01 / 255.0), (jpeg(luma, 100), 2.01 / 255.0)];
         for (i, (file, tolerance)) in files.iter().enumerate() {
             let got = from_map(file, DepthKind::Disparity, 40, 30).unwrap();
             for (at, got) in got.delta.iter().enumerate() {
@@ -413,7 +406,7 @@ mod tests {
             let got = from_map(&file, DepthKind::Disparity, 40, 30).unwrap();
             assert!(got.delta.iter().zip(off.pixels()).all(|(got, p)| (got - f32::from(p[1]) / 255.0).abs() < 3e-3));
         }
-        let tinted = jpeg(ImageBuffer::from_fn(40, 30, |x, y| Rgb([value(x, y), 128, 40])).into());
+        let tinted = jpeg(ImageBuffer::from_fn(40, 30, |x, y| Rgb([value(x, y), 128, 40])), 100);
         assert!(from_map(&tinted, DepthKind::Disparity, 40, 30).unwrap_err().to_string().contains("colour"));
     }
 
@@ -423,12 +416,7 @@ mod tests {
         let grey = ImageBuffer::from_fn(40, 4, |x, _| Luma([value(x)]));
         let rgb = ImageBuffer::from_fn(40, 4, |x, _| Rgb([value(x); 3]));
         let clear = ImageBuffer::from_fn(40, 4, |x, _| image::Rgba([value(x), value(x), value(x), 255 - value(x)]));
-        let profiled = |image: DynamicImage, profile: moxcms::ColorProfile| {
-            let mut out = Cursor::new(Vec::new());
-            image.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 100)).unwrap();
-            let (file, body) = (out.into_inner(), [b"ICC_PROFILE\0\x01\x01", &profile.encode().unwrap()[..]].concat());
-            [&file[..2], &[0xFF, 0xE2], &(body.len() as u16 + 2).to_be_bytes(), &body, &file[2..]].concat()
-        };
+        let profiled = |image: DynamicImage, profile: moxcms::ColorProfile| with_profile(&jpeg(image, 100), &profile.encode().unwrap());
         let files = [
             profiled(grey.into(), moxcms::ColorProfile::new_gray_with_gamma(1.0)),
             profiled(rgb.into(), moxcms::ColorProfile::new_bt2020()),

@@ -224,24 +224,25 @@ fn align(values: &mut [f32], target: &[f32]) {
     }
 }
 
-/// Tenth and ninetieth percentiles.
-fn spread(values: &[f32]) -> (f64, f64) {
+/// The value below which this share of the values lies.
+fn quantiles(values: &[f32]) -> impl FnMut(f64) -> f64 + use<> {
     let mut sorted = values.to_vec();
-    let mut at = |share: f64| {
+    move |share| {
         let k = ((sorted.len() - 1) as f64 * share).round() as usize;
         f64::from(*sorted.select_nth_unstable_by(k, f32::total_cmp).1)
-    };
+    }
+}
+
+/// Tenth and ninetieth percentiles.
+fn spread(values: &[f32]) -> (f64, f64) {
+    let mut at = quantiles(values);
     (at(0.1), at(0.9))
 }
 
 /// Maps the range between [`PERCENTILES`] to 0..=1 and clamps the rest, if that range is larger than `least`. A map without relief
 /// becomes [`FLAT`]. Returns whether there is relief. `values` must be finite.
 fn normalise(values: &mut [f32], least: f64) -> bool {
-    let mut sorted = values.to_vec();
-    let mut at = |share: f64| {
-        let k = ((sorted.len() - 1) as f64 * share).round() as usize;
-        f64::from(*sorted.select_nth_unstable_by(k, f32::total_cmp).1)
-    };
+    let mut at = quantiles(values);
     let (mut lo, mut hi) = (at(PERCENTILES.0), at(PERCENTILES.1));
     // a few pixels may hold all the relief
     if !relief(lo, hi) {

@@ -167,7 +167,7 @@ fn medians_body<S: Simd>(simd: S, band: &Band, kept: f32, y: usize, lo: &[f32], 
 /// The smallest value that, with all values up to it, has half of the weight; at most [`ROOM`] values.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-pub(super) fn weighted_median<S: Simd>(simd: S, values: &[f32], weights: &[f32]) -> f32 {
+fn weighted_median<S: Simd>(simd: S, values: &[f32], weights: &[f32]) -> f32 {
     let mut of = [[f32::INFINITY; LANES]; ROOM / LANES];
     of.as_flattened_mut()[..values.len()].copy_from_slice(values);
     let up_to = up_to(simd, values, weights, &of);

@@ -190,17 +190,6 @@ mod tests {
     }
 
     #[test]
-    fn a_near_tile_takes_the_wall_beside_it_as_background() {
-        // all of tile 0 is near; beyond its right border it is far
-        let (mut scene, map) = walls(128, 64, 64, |x, _| if x < 70 { 0.8 } else { 0.2 });
-        add_backgrounds(&mut scene, &map);
-        let behind = scene.tiles[0].background.unwrap();
-        assert!((behind.disparity(0.0, 0.0) - 0.2).abs() < 0.01, "{behind:?}");
-        // the far wall's own tiles have nothing behind them
-        assert_eq!(scene.tiles.last().unwrap().background, None);
-    }
-
-    #[test]
     fn a_larger_view_box_finds_farther_walls() {
         // the far wall begins 40 pixels right of tile 0
         let (scene, map) = walls(192, 64, 64, |x, _| if x < 104 { 0.8 } else { 0.2 });

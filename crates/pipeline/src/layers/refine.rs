@@ -164,16 +164,6 @@ mod tests {
     use tmpi_core::{Intrinsics, Plane, ViewBox, texture};
 
     use super::*;
-    use crate::networks::OnnxError;
-
-    /// A network that returns what a function makes of its input.
-    struct Fake<F>(F);
-
-    impl<F: Fn(&Tensor) -> Vec<Tensor> + Send + Sync> Network for Fake<F> {
-        fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
-            Ok((self.0)(&inputs[0]))
-        }
-    }
 
     /// The first three channels of each layer, which are its own colours.
     fn own_colours(t: &Tensor) -> Tensor {
@@ -193,9 +183,7 @@ mod tests {
         let (width, height) = (50, 34);
         let grid = Grid::new(width, height, 20);
         let near = |x: u32, y: u32| (14..30).contains(&x) && (8..26).contains(&y);
-        let rgb = (0..width * height)
-            .map(|i| if near(i % width, i / width) { [200, 30, 10] } else { [10, (i % width * 5) as u8, (i / width * 7) as u8] });
-        let photo = Photo { width, height, rgb: rgb.collect() };
+        let photo = Photo::from_fn(width, height, |x, y| if near(x, y) { [200, 30, 10] } else { [10, (x * 5) as u8, (y * 7) as u8] });
         let tile = |t: u32| {
             let r = grid.rect(t);
             let labels = (0..r.area() as u32).map(|i| near(r.x + i % r.w, r.y + i / r.w).into()).collect();
@@ -261,7 +249,7 @@ mod tests {
     fn a_network_that_returns_its_input_changes_nothing() {
         let (photo, geometry, before) = scene();
         let mut after = before.clone();
-        let refined = run(&Fake(|t: &Tensor| vec![own_colours(t)]), &photo, &geometry, &mut after).unwrap();
+        let refined = run(&|t: &Tensor| vec![own_colours(t)], &photo, &geometry, &mut after).unwrap();
         let bare = before.iter().filter(|layers| !layers.iter().any(needs)).count();
         assert_eq!(refined, Refined { skipped: bare, colours: false });
         assert_eq!((shapes(&after), hidden(&after)), (shapes(&before), hidden(&before)));
@@ -271,7 +259,7 @@ mod tests {
     fn only_hidden_texels_take_the_networks_colour() {
         let (photo, geometry, before) = scene();
         let mut after = before.clone();
-        assert!(run(&Fake(|t: &Tensor| vec![constant(t, 3, 0.2)]), &photo, &geometry, &mut after).unwrap().colours);
+        assert!(run(&|t: &Tensor| vec![constant(t, 3, 0.2)], &photo, &geometry, &mut after).unwrap().colours);
         assert_eq!(shapes(&after), shapes(&before));
         assert!(hidden(&after).len() > 100 && hidden(&after).iter().all(|c| *c == [51; 3]));
     }
@@ -286,7 +274,7 @@ mod tests {
         }
         for (value, want) in [(0.0, 1), (0.5, 128), (1.0, 254), (-9.0, 1), (9.0, 254)] {
             let mut after = before.clone();
-            let network = Fake(move |t: &Tensor| vec![constant(t, 1, value), own_colours(t)]);
+            let network = move |t: &Tensor| vec![constant(t, 1, value), own_colours(t)];
             run(&network, &photo, &geometry, &mut after).unwrap();
             let mut soft = 0;
             for (was, is) in before.iter().flatten().zip(after.iter().flatten()) {
@@ -306,7 +294,7 @@ mod tests {
         let (photo, geometry, before) = scene();
         for wild in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             let mut after = before.clone();
-            let network = Fake(move |t: &Tensor| vec![constant(t, 1, wild), constant(t, 3, wild)]);
+            let network = move |t: &Tensor| vec![constant(t, 1, wild), constant(t, 3, wild)];
             assert!(!run(&network, &photo, &geometry, &mut after).unwrap().colours);
             assert_eq!((shapes(&after), hidden(&after)), (shapes(&before), hidden(&before)), "{wild}");
         }
@@ -322,7 +310,7 @@ mod tests {
             |t| vec![constant(t, 1, 0.5), constant(t, 3, 0.5), constant(t, 3, 0.5)],
         ];
         for network in wrong {
-            assert!(matches!(run(&Fake(network), &photo, &geometry, &mut tiles.clone()), Err(StageError::Shape { .. })));
+            assert!(matches!(run(&network, &photo, &geometry, &mut tiles.clone()), Err(StageError::Shape { .. })));
         }
     }
 
@@ -330,7 +318,7 @@ mod tests {
     fn a_large_tile_is_not_refined() {
         let (photo, mut geometry, mut tiles) = scene();
         geometry.grid.size = MAX_TILE + 1;
-        let untouched = Fake(|_: &Tensor| -> Vec<Tensor> { panic!("the network must not run") });
+        let untouched = |_: &Tensor| -> Vec<Tensor> { panic!("the network must not run") };
         let refined = run(&untouched, &photo, &geometry, &mut tiles).unwrap();
         assert_eq!(refined, Refined { skipped: tiles.len(), colours: false });
     }

@@ -51,12 +51,17 @@ mod tests {
         let view = View { width: 40, height: 30, rgba: vec![[9, 8, 7, 255]; 1200] };
         for format in PictureFormat::ALL {
             let file = encode(&view, format, 90).unwrap();
-            let limits = |pixels, side, bytes| Limits { bytes, pixels, side, ..Limits::default() };
-            let (_, size) = check(&file, &limits(1200, 40, file.len())).unwrap();
-            assert_eq!(size, (40, 30));
-            assert!(matches!(check(&file, &limits(1199, 40, file.len())), Err(PhotoError::TooManyPixels { .. })));
-            assert!(matches!(check(&file, &limits(1200, 39, file.len())), Err(PhotoError::SideTooLong { .. })));
-            assert!(matches!(check(&file, &limits(1200, 40, file.len() - 1)), Err(PhotoError::TooManyBytes { .. })));
+            let checked = |pixels, side, bytes| {
+                let limits = Limits { bytes, pixels, side, ..Limits::default() };
+                let size = check(&file, &limits).map(|(_, size)| size);
+                let decoded = super::super::decode(&file, &limits, None).map(|decoded| decoded.original);
+                assert_eq!(format!("{size:?}"), format!("{decoded:?}"), "{format:?}");
+                size
+            };
+            assert_eq!(checked(1200, 40, file.len()).unwrap(), (40, 30));
+            assert!(matches!(checked(1199, 40, file.len()), Err(PhotoError::TooManyPixels { width: 40, height: 30, limit: 1199 })));
+            assert!(matches!(checked(1200, 39, file.len()), Err(PhotoError::SideTooLong { width: 40, height: 30, limit: 39 })));
+            assert!(matches!(checked(1200, 40, file.len() - 1), Err(PhotoError::TooManyBytes { .. })));
             assert!(check(&file[..12], &Limits::default()).is_err(), "{format:?} cut short");
         }
         assert!(matches!(check(b"hello", &Limits::default()), Err(PhotoError::Unsupported)));

@@ -2,9 +2,11 @@
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, LumaA, Rgb, Rgba};
 use moxcms::{ColorProfile, ToneReprCurve};
+use tmpi_testing::jpeg::with_profile;
+use tmpi_testing::pictures::jpeg;
 use tmpi_testing::png::{chunk, iccp};
 
-use super::tests::{file, ok, picture, with_segment};
+use super::tests::{file, ok, picture};
 use super::*;
 
 /// sRGB encoding of linear light 0 to 1, in levels of 255.
@@ -43,9 +45,7 @@ fn cicp(primaries: u8, transfer: u8) -> Vec<u8> {
 }
 
 fn jpeg_with(image: impl Into<DynamicImage>, profile: &[u8]) -> Vec<u8> {
-    let mut out = std::io::Cursor::new(Vec::new());
-    image.into().write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 100)).unwrap();
-    with_segment(&out.into_inner(), 0xE2, &[b"ICC_PROFILE\0\x01\x01", profile].concat())
+    with_profile(&jpeg(image, 100), profile)
 }
 
 fn near(got: &Photo, levels: f64, want: impl Fn(u32, u32) -> [f64; 3], of: &str) {

@@ -37,6 +37,7 @@ pub fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
 mod tests {
     use proptest::prelude::*;
     use tmpi_render::{PictureFormat, View, encode};
+    use tmpi_testing::jpeg::{segment, with_segments};
 
     use super::*;
     use crate::photo::check;
@@ -67,14 +68,9 @@ mod tests {
 
     /// A JPEG with `bytes` of metadata before its frame.
     fn with_metadata(bytes: usize) -> Vec<u8> {
-        let file = claiming(PictureFormat::Jpeg, 40, 30);
-        let mut out = file[..2].to_vec();
-        for length in std::iter::repeat_n(60_000, bytes / 60_000).chain([bytes % 60_000]) {
-            out.extend([0xFF, 0xE1]);
-            out.extend((length as u16 + 2).to_be_bytes());
-            out.extend(vec![0xFF; length]);
-        }
-        [&out, &file[2..]].concat()
+        let lengths = std::iter::repeat_n(60_000, bytes / 60_000).chain([bytes % 60_000]);
+        let segments: Vec<_> = lengths.map(|length| segment(0xE1, &vec![0xFF; length])).collect();
+        with_segments(&claiming(PictureFormat::Jpeg, 40, 30), &segments)
     }
 
     #[test]

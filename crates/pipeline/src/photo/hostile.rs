@@ -1,26 +1,8 @@
 //! Files crafted to cost much, and damaged files that could pass as whole.
 
-use image::{ExtendedColorType, ImageEncoder};
+use tmpi_testing::pictures;
 
 use super::*;
-
-/// As much detail as a photograph has, so that every part of the file matters.
-fn noisy(w: u32, h: u32) -> Vec<u8> {
-    let mut seed = 1u32;
-    let mut next = || {
-        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (seed >> 26) as u8
-    };
-    let rgb: Vec<u8> =
-        (0..w * h).flat_map(|i| [(i % w * 255 / w) as u8 / 2 + next(), (i / w * 255 / h) as u8 / 2 + next(), next()]).collect();
-    let mut out = Vec::new();
-    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 90).write_image(&rgb, w, h, ExtendedColorType::Rgb8).unwrap();
-    out
-}
-
-fn at_marker(file: &[u8], marker: u8) -> usize {
-    file.windows(2).position(|w| w == [0xFF, marker]).unwrap()
-}
 
 /// A progressive JPEG of 16 × 16 grey pixels with `count` scans: one of DC coefficients, then empty ones. The last delivers everything
 /// that is left.
@@ -58,45 +40,17 @@ fn scans_are_counted_before_decoding() {
 
 #[test]
 fn a_file_too_short_for_its_claimed_size_is_refused_by_the_check() {
-    let mut file = noisy(64, 64);
-    let frame = at_marker(&file, 0xC0);
+    let mut file = tests::jpeg(64, 64);
+    let frame = file.windows(2).position(|w| w == [0xFF, 0xC0]).unwrap();
     file[frame + 5..frame + 9].copy_from_slice(&[&3000u16.to_be_bytes()[..], &16_384u16.to_be_bytes()].concat());
     let error = check(&file, &Limits::default()).unwrap_err();
     assert!(error.to_string().contains("cut short"), "{error}");
     // the flattest picture needs few bits and is accepted
-    let flat = {
-        let mut out = Vec::new();
-        let grey = vec![128; 4096 * 300];
-        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 1).write_image(&grey, 4096, 300, ExtendedColorType::L8).unwrap();
-        out
-    };
+    let flat = pictures::jpeg(image::GrayImage::from_pixel(4096, 300, image::Luma([128])), 1);
     assert!(check(&flat, &Limits::default()).is_ok() && !decode(&flat, &Limits::default(), None).unwrap().damaged);
     let error = decode(&scans(1), &Limits::default(), None).unwrap_err();
     assert!(error.to_string().contains("first scan"), "{error}");
     assert!(!decode(&scans(2), &Limits::default(), None).unwrap().damaged);
-}
-
-#[test]
-fn a_file_cut_in_the_middle_is_refused_and_one_cut_near_its_end_is_marked_damaged() {
-    let whole = noisy(320, 240);
-    let data = at_marker(&whole, 0xDA) + 14;
-    let cut = |share: f64| {
-        let end = data + ((whole.len() - data) as f64 * share) as usize;
-        [&whole[..end], &[0xFF, 0xD9]].concat()
-    };
-    let full = decode(&whole, &Limits::default(), None).unwrap();
-    assert!(!full.damaged && full.stripped.is_some());
-    for share in [0.02, 0.3, 0.5, 0.7] {
-        let got = decode(&cut(share), &Limits::default(), None);
-        assert!(matches!(got, Err(PhotoError::Broken(_))), "cut at {share}");
-    }
-    for share in [0.8, 0.9, 0.97] {
-        let got = decode(&cut(share), &Limits::default(), None).unwrap();
-        assert!(got.damaged && got.stripped.is_none(), "cut at {share}");
-        assert_eq!((got.photo.width, got.photo.height), (320, 240));
-        let intact = 320 * 176;
-        assert_eq!(got.photo.rgb[..intact], full.photo.rgb[..intact], "cut at {share}");
-    }
 }
 
 #[test]
@@ -120,8 +74,7 @@ fn memory_is_checked_before_decoding_and_fifty_megapixels_of_any_kind_pass() {
 
 #[test]
 fn the_check_refuses_a_png_cut_within_a_chunk_and_counts_its_memory() {
-    let mut file = Vec::new();
-    image::codecs::png::PngEncoder::new(&mut file).write_image(&[7; 40 * 30 * 8], 40, 30, ExtendedColorType::Rgba16).unwrap();
+    let file = pictures::png(40, 30, &[7; 40 * 30 * 8], image::ExtendedColorType::Rgba16);
     let limits = |decoder_memory| Limits { decoder_memory, ..Limits::default() };
     assert!(check(&file, &limits(40 * 30 * 8)).is_ok());
     assert!(matches!(check(&file, &limits(40 * 30 * 8 - 1)), Err(PhotoError::TooMuchMemory { .. })));

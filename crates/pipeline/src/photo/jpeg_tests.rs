@@ -1,7 +1,7 @@
 //! JPEG variants that cameras and programs write and few decoders read.
 
 use image::ImageFormat;
-use tmpi_testing::jpeg::{Component, Jpeg, Scans, adobe, components, jfif, smooth, smooth_rgb};
+use tmpi_testing::jpeg::{Component, Jpeg, Scans, adobe, components, jfif, smooth, smooth_rgb, without_tables};
 
 use super::tests::{file, ok, picture};
 use super::*;
@@ -218,21 +218,6 @@ fn missing_code_tables_default_to_those_of_the_standard() {
             assert!(cut.photo == full.photo && !cut.damaged, "{kept:?} kept, no end marker");
         }
     }
-}
-
-/// The file without its code tables, except those `kept` by class and number. Each table is a segment of its own.
-fn without_tables(file: &[u8], kept: &[u8]) -> Vec<u8> {
-    let mut out = file[..2].to_vec();
-    let mut at = 2;
-    while file[at + 1] != 0xDA {
-        let end = at + 2 + usize::from(u16::from_be_bytes([file[at + 2], file[at + 3]]));
-        if file[at + 1] != 0xC4 || kept.contains(&file[at + 4]) {
-            out.extend(&file[at..end]);
-        }
-        at = end;
-    }
-    out.extend(&file[at..]);
-    out
 }
 
 #[test]

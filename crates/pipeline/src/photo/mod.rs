@@ -48,6 +48,7 @@ pub use check::check;
 pub use error::PhotoError;
 pub use head::{Head, head};
 pub use limits::Limits;
+pub(crate) use resample::working_size;
 pub use resample::{Filter, reduced_size, resample, resample_by, resize};
 pub use resample_opencv::{Interpolation, resize_opencv};
 pub use resample_pillow::resample_bytes;
@@ -73,8 +74,6 @@ pub struct Decoded {
     ///
     /// A 35 mm frame is 36 mm wide, so the focal length in pixels is `f35 / 36 × longer side`.
     pub intrinsics: Intrinsics,
-    /// Whether the focal length comes from EXIF.
-    pub focal_from_exif: bool,
     /// The uploaded file without metadata, if its pixels are exactly `photo` (no rotation, no reduction, no alpha; JPEG or WebP).
     pub stripped: Option<Vec<u8>>,
     /// Whether the file is damaged or cut short. Most of the picture is intact then; the rest is grey or coarse. Detected for JPEG files
@@ -193,7 +192,7 @@ fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
     let long = f64::from(photo.width.max(photo.height));
     let focal = facts.focal_35.map_or(Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(photo.width), |f| f / 36.0 * long);
     let intrinsics = Intrinsics::centred(photo.width, photo.height, focal);
-    Decoded { photo, original, format, intrinsics, focal_from_exif: facts.focal_35.is_some(), stripped, damaged, reduction }
+    Decoded { photo, original, format, intrinsics, stripped, damaged, reduction }
 }
 
 fn share(part: u32, whole: u32) -> f64 {

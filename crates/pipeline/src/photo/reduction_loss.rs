@@ -57,7 +57,7 @@ mod tests {
     use tmpi_render::difference::MAX_PSNR;
 
     fn photo(width: u32, height: u32, value: impl Fn(u32, u32) -> u8) -> Photo {
-        Photo { width, height, rgb: (0..width * height).map(|i| [value(i % width, i / width); 3]).collect() }
+        Photo::from_fn(width, height, |x, y| [value(x, y); 3])
     }
 
     #[test]

@@ -133,3 +133,10 @@ pub fn reduced_size((width, height): (u32, u32), max_size: Option<u32>) -> (u32,
     let side = |s: u32| ((f64::from(s) * ratio).round() as u32).clamp(1, max);
     (side(width), side(height))
 }
+
+/// A picture's size, reduced to at most `most` pixels.
+pub fn working_size((width, height): (u32, u32), most: f64) -> (u32, u32) {
+    let scale = (most / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
+    let side = |s: u32| ((f64::from(s) * scale).round() as u32).clamp(1, s);
+    (side(width), side(height))
+}

@@ -57,15 +57,17 @@ impl Placement {
 }
 
 /// How the planes of a tile are placed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub enum Method {
-    /// Evenly spaced between the tile's extremes.
+    /// Evenly spaced in disparity between the tile's extremes.
     Linear,
-    /// Weighted k-means.
+    /// Confidence-weighted k-means (as in the paper).
     Lloyd,
-    /// Exact one-dimensional k-means.
+    /// Exact one-dimensional k-means by dynamic programming.
     Optimal,
-    /// Weighted k-planes.
+    /// Confidence-weighted k-planes with slanted planes.
+    #[default]
     Slanted,
 }
 

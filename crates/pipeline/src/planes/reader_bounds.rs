@@ -42,7 +42,9 @@ mod tests {
     use crate::depth::DepthKind;
     use crate::photo::Limits;
     use crate::run::{Denoise, MakeError, Models, PlaneMethod, Report, Silent, Switch, make};
-    use tmpi_core::{ViewBox, container};
+    use image::{Rgb, RgbImage};
+    use tmpi_core::{DisparityMap, ViewBox, container};
+    use tmpi_testing::pictures::{jpeg, noise};
 
     #[test]
     fn planes_at_the_bound_pass_and_one_more_is_rejected_by_name() {
@@ -57,16 +59,9 @@ mod tests {
     }
 
     /// Noise as a JPEG and a depth map: each pixel has its own depth.
-    fn noise(w: u32, h: u32) -> (Vec<u8>, Vec<u8>) {
-        let mut seed = 7u32;
-        let mut next = || {
-            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (seed >> 24) as u8
-        };
-        let rgb: Vec<u8> = (0..w * h * 3).map(|_| next()).collect();
-        let delta = (0..w * h).map(|_| f32::from(next()) / 255.0).collect();
-        let photo = tmpi_core::container::encode_jpeg(w, h, &rgb, 90).unwrap();
-        (photo, crate::depth::to_png(&tmpi_core::DisparityMap { width: w, height: h, delta }).unwrap())
+    fn noisy(w: u32, h: u32) -> (Vec<u8>, Vec<u8>) {
+        let photo = RgbImage::from_fn(w, h, |x, y| Rgb([0, 1, 2].map(|c| (256.0 * noise(3 * x + c, y)) as u8)));
+        (jpeg(photo, 90), crate::depth::to_png(&DisparityMap::from_fn(w, h, |x, y| noise(x, y + h))).unwrap())
     }
 
     /// Makes a photo and reads its container and levels. Returns false if the options were rejected with the option's name; panics if the
@@ -118,7 +113,7 @@ mod tests {
     #[test]
     fn every_choice_and_both_ends_of_every_range_make_a_readable_photo() {
         let (w, h) = (64, 48);
-        let (models, files) = (models(), noise(w, h));
+        let (models, files) = (models(), noisy(w, h));
         let mut count = 0;
         let mut one = |options: &Options| {
             assert!(makes_readable_photo(&models, (w, h), &files, options), "{options:?} were rejected");
@@ -170,7 +165,7 @@ mod tests {
     #[test]
     fn extreme_options_make_readable_photos() {
         let (w, h) = (96, 64);
-        let (models, files) = (models(), noise(w, h));
+        let (models, files) = (models(), noisy(w, h));
         let all = extremes(w, h);
         assert_eq!(all.len(), 20);
         assert!(all.iter().all(|options| makes_readable_photo(&models, (w, h), &files, options)));

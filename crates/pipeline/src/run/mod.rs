@@ -26,10 +26,11 @@ use crate::networks::Network;
 use crate::networks::models::{PSI, THETA};
 use crate::photo::PhotoError;
 pub use crate::photo::Reduction;
+pub use crate::planes::Method as PlaneMethod;
 
 pub use input_sizes::{ExtraPicture, Sizes};
 pub use make::make;
-pub use options::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+pub use options::{Denoise, Options, PlaneCount, Switch, TileSize};
 pub use parallax_error::{Parallax, TileError};
 pub use progress::{Progress, Silent, Sink};
 pub use report::{Budget, Bytes, ErrorFigures, Input, InputDepth, LeftOut, ParallaxShift, PlaneError, PruneError, Report, StageTime};

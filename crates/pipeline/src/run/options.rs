@@ -6,24 +6,9 @@ use tmpi_core::ViewBox;
 use crate::StageError;
 use crate::depth::DepthKind;
 use crate::photo::Limits;
-use crate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement};
+use crate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method as PlaneMethod, Placement};
 use crate::stereo::Stereo;
 use crate::strokes::{self, Stroke};
-
-/// How the planes of a tile are placed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum PlaneMethod {
-    /// Evenly spaced in disparity between the tile's extremes.
-    Linear,
-    /// Confidence-weighted k-means (as in the paper).
-    Lloyd,
-    /// Exact one-dimensional k-means by dynamic programming.
-    Optimal,
-    /// Confidence-weighted k-planes with slanted planes.
-    #[default]
-    Slanted,
-}
 
 /// Number of planes per tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -154,15 +139,9 @@ impl Options {
     /// ([`super::Parallax::most`]).
     #[must_use]
     pub fn placement(&self, max_error: f64, most: f64) -> Placement {
-        let method = match self.plane_method {
-            PlaneMethod::Linear => Method::Linear,
-            PlaneMethod::Lloyd => Method::Lloyd,
-            PlaneMethod::Optimal => Method::Optimal,
-            PlaneMethod::Slanted => Method::Slanted,
-        };
         match self.planes {
-            PlaneCount::Fixed(n) => Placement::fixed(method, n),
-            PlaneCount::Auto => Placement::fewest(method, MAX_AUTO_PLANES, max_error / most.max(1.0)),
+            PlaneCount::Fixed(n) => Placement::fixed(self.plane_method, n),
+            PlaneCount::Auto => Placement::fewest(self.plane_method, MAX_AUTO_PLANES, max_error / most.max(1.0)),
         }
     }
 

@@ -186,22 +186,18 @@ mod tests {
         }
     }
 
-    fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
-        DisparityMap { width, height, delta: (0..width * height).map(|i| delta(i % width, i / width)).collect() }
-    }
-
     #[test]
     fn enlarging_does_not_shift_a_ramp_but_blurring_shifts_a_step() {
         let m = movement();
-        let ramp = map(50, 30, |x, y| x as f32 * 0.01 + y as f32 * 0.002);
-        let enlarged = map(100, 60, |x, y| (x as f32 / 2.0 - 0.25) * 0.01 + (y as f32 / 2.0 - 0.25) * 0.002);
+        let ramp = DisparityMap::from_fn(50, 30, |x, y| x as f32 * 0.01 + y as f32 * 0.002);
+        let enlarged = DisparityMap::from_fn(100, 60, |x, y| (x as f32 / 2.0 - 0.25) * 0.01 + (y as f32 / 2.0 - 0.25) * 0.002);
         // what remains is rounding, and the border, which has no neighbours to interpolate
         assert!(m.resampled(&ramp, &enlarged).mean_px < 1e-3, "{:?}", m.resampled(&ramp, &enlarged));
-        let flat = map(100, 60, |_, _| 0.5);
-        let step = map(50, 30, |x, _| if x < 25 { 0.25 } else { 0.75 });
+        let flat = DisparityMap::from_fn(100, 60, |_, _| 0.5);
+        let step = DisparityMap::from_fn(50, 30, |x, _| if x < 25 { 0.25 } else { 0.75 });
         let moved = m.resampled(&step, &flat);
         assert!(moved.mean_px > 0.25 * 60.0 * 0.08 && !moved.sampled, "{moved:?}");
-        let large = map(1000, 600, |_, _| 0.5);
+        let large = DisparityMap::from_fn(1000, 600, |_, _| 0.5);
         assert_eq!(m.resampled(&large, &flat), ParallaxShift { mean_px: 0.0, most_px: 0.0, sampled: true });
     }
 }

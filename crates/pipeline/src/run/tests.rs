@@ -8,25 +8,9 @@ use crate::photo::Limits;
 use tmpi_core::Photo;
 use tmpi_testing::pictures::{noise, waves as photo};
 
-/// A stand-in for the network: all photos here come with a depth map.
-struct Flat;
-
-impl Estimator for Flat {
-    fn name(&self) -> &'static str {
-        "flat"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
-    }
-}
-
-fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
-    DisparityMap { width, height, delta: (0..width * height).map(|i| delta(i % width, i / width)).collect() }
-}
-
 fn made(photo: &[u8], depth: &DisparityMap, options: &Options) -> Made {
-    let models = Models { depth: Arc::new(Flat), theta: None, psi: None };
+    // all photos here come with a depth map
+    let models = Models { depth: Arc::new(("none", |_: &Photo| Err(DepthError::NotEmbedded))), theta: None, psi: None };
     make(&models, &Limits::default(), photo, Some(&to_png(depth).unwrap()), options, &Silent).unwrap()
 }
 
@@ -36,7 +20,7 @@ fn plain() -> Options {
 
 #[test]
 fn the_error_bound_holds_if_the_planes_suffice() {
-    let slopes = map(300, 200, |x, y| if x < 150 { 0.2 + 0.001 * y as f32 } else { 0.9 - 0.002 * (x - 150) as f32 });
+    let slopes = DisparityMap::from_fn(300, 200, |x, y| if x < 150 { 0.2 + 0.001 * y as f32 } else { 0.9 - 0.002 * (x - 150) as f32 });
     for max_error in [0.5, Options::MAX_ERROR, 4.0] {
         let planes = made(&photo(300, 200), &slopes, &Options { max_error, ..plain() }).report.error.planes;
         assert_eq!((planes.missed_tiles, planes.bound_px), (0, Some(max_error)), "{planes:?}");
@@ -47,10 +31,10 @@ fn the_error_bound_holds_if_the_planes_suffice() {
 
 #[test]
 fn large_photos_are_measured_on_some_rows_and_tiles() {
-    let tall = made(&photo(100, 1400), &map(100, 1400, noise), &plain()).report;
+    let tall = made(&photo(100, 1400), &DisparityMap::from_fn(100, 1400, noise), &plain()).report;
     assert!(tall.error.identity_tiles < tall.tiles && tall.error.identity_tiles >= tall.tiles / 14, "{}", tall.error.identity_tiles);
     assert!(tall.error.identity_psnr < 60.0);
-    let stairs = map(700, 500, |x, y| ((x / 50 + y / 40) % 5) as f32 / 5.0 + 0.1);
+    let stairs = DisparityMap::from_fn(700, 500, |x, y| ((x / 50 + y / 40) % 5) as f32 / 5.0 + 0.1);
     let pruned = made(&photo(700, 500), &stairs, &plain()).report;
     let some = pruned.error.prune.unwrap();
     assert!(some.tiles < pruned.tiles && some.tiles >= 4 && some.share_off < 0.02, "{some:?}");
@@ -59,7 +43,7 @@ fn large_photos_are_measured_on_some_rows_and_tiles() {
 #[test]
 fn the_memory_bound_counts_the_placed_planes() {
     let options = Options { max_error: 0.0, ..plain() };
-    let report = made(&photo(200, 150), &map(200, 150, noise), &options).report;
+    let report = made(&photo(200, 150), &DisparityMap::from_fn(200, 150, noise), &options).report;
     // noise takes six planes per tile
     assert_eq!(report.memory_bound_bytes, options.memory_with(&Sizes::of_photo((200, 150)), None, 6));
 }
@@ -68,7 +52,7 @@ fn the_memory_bound_counts_the_placed_planes() {
 fn busy(share: f64) -> DisparityMap {
     // nine tiles per row, 56 pixels apart
     let columns = (share * 9.0).round() as u32;
-    map(500, 400, move |x, y| if x < columns * 56 { noise(x, y) } else { 0.5 })
+    DisparityMap::from_fn(500, 400, move |x, y| if x < columns * 56 { noise(x, y) } else { 0.5 })
 }
 
 #[test]

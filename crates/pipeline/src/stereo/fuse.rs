@@ -15,10 +15,10 @@ const AGREES: f32 = 0.08;
 const HIDDEN: (f32, f32) = (1.4, 3.0);
 
 /// A deterministic sequence of random numbers.
-struct Draw(u64);
+pub(super) struct Draw(pub(super) u64);
 
 impl Draw {
-    fn below(&mut self, n: usize) -> usize {
+    pub(super) fn below(&mut self, n: usize) -> usize {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 33) as usize % n.max(1)
     }

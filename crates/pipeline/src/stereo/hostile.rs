@@ -9,7 +9,7 @@ use tmpi_testing::pictures::encoded;
 
 use super::tests::{beside, spots};
 use super::*;
-use crate::depth::{DepthError, Estimator};
+use crate::depth::DepthError;
 use crate::photo::{Limits, PhotoError};
 use crate::{Made, MakeError, Models, Options, Report, Silent, Switch, make};
 
@@ -17,19 +17,6 @@ const W: u32 = 120;
 const H: u32 = 90;
 /// Disparity of the upper and of the lower half, in pixels.
 const SHIFTS: (i32, i32) = (2, 8);
-
-/// A network that returns the same value for every pixel.
-struct Constant(f32);
-
-impl Estimator for Constant {
-    fn name(&self) -> &'static str {
-        "constant"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![self.0; photo.rgb.len()] })
-    }
-}
 
 fn file(photo: &Photo, format: ImageFormat) -> Vec<u8> {
     encoded(RgbImage::from_vec(photo.width, photo.height, photo.rgb.as_flattened().to_vec()).unwrap(), format)
@@ -48,7 +35,8 @@ fn second() -> Photo {
 }
 
 fn made_with(value: f32, limits: &Limits, photo: &[u8], given: Option<&[u8]>, options: &Options) -> Result<Made, MakeError> {
-    let models = Models { depth: Arc::new(Constant(value)), theta: None, psi: None };
+    let constant = move |photo: &Photo| Ok(DisparityMap::from_fn(photo.width, photo.height, |_, _| value));
+    let models = Models { depth: Arc::new(("constant", constant)), theta: None, psi: None };
     let made = make(&models, limits, photo, given, options, &Silent)?;
     assert!(made.disparity.delta.iter().all(|d| (0.0..=1.0).contains(d)));
     Ok(made)

@@ -20,7 +20,7 @@ pub use self::halves::{Halves, Stereo};
 use self::rectify::Rectified;
 use self::sgm::{Range, Views};
 use crate::depth;
-use crate::photo::{Filter, resample};
+use crate::photo::{Filter, resample, working_size};
 use crate::usage::Clock;
 
 /// Most pixels at which pictures are matched.
@@ -148,7 +148,7 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, StereoError> {
     let mut pair = [grey(first, size), grey(second, size)];
     // rows that cannot be determined stay as they are
     let rectified = rectify::rectify(&pair[0], &pair[1]);
-    let Rectified { model, before_px, after_px, .. } = rectified.unwrap_or_default();
+    let Rectified { model, before_px, after_px } = rectified.unwrap_or_default();
     pair[1] = model.rectified(&pair[1]);
     let rectify_ms = clock.ms();
     let mut range = range(&pair).ok_or(StereoError::Few { share: 0.0 })?;
@@ -213,13 +213,6 @@ impl Measured {
         figures.fuse_ms = clock.ms();
         FusedDisparity { map, own: (!own).then_some(small), figures }
     }
-}
-
-/// A picture's size, reduced to at most `most` pixels.
-fn working_size((width, height): (u32, u32), most: f64) -> (u32, u32) {
-    let scale = (most / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
-    let side = |s: u32| ((f64::from(s) * scale).round() as u32).clamp(1, s);
-    (side(width), side(height))
 }
 
 /// Brightness of a picture at a size.

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use tmpi_core::simd::dispatch;
 
 use super::census::{Grey, census};
+use super::fuse::Draw;
 
 /// Side in pixels of the squares, each of which gives one corner to match.
 const CELL: usize = 8;
@@ -95,9 +96,7 @@ impl Model {
 pub struct Rectified {
     /// The model; the default one moves nothing.
     pub model: Model,
-    /// Number of matches that agree with it.
-    pub matches: usize,
-    /// Median distance of these from their rows, in pixels, in the pictures as given.
+    /// Median distance of the matches that agree with it from their rows, in pixels, in the pictures as given.
     pub before_px: f64,
     /// The same after rectification.
     pub after_px: f64,
@@ -129,7 +128,7 @@ pub fn rectify(first: &Grey, second: &Grey) -> Option<Rectified> {
     // pictures that already lie on their rows stay unchanged
     let better = before_px - after_px > 0.1;
     let (model, after_px) = if better { (model, after_px) } else { (Model::default(), before_px) };
-    Some(Rectified { model, matches: agreeing.len(), before_px, after_px })
+    Some(Rectified { model, before_px, after_px })
 }
 
 /// A corner of the first picture, and its position in the second, in pixels.
@@ -291,11 +290,8 @@ dispatch!(add_distances, distances, (own: &[u64], other: &[u64], out: &mut [u32]
 
 /// Of models through three matches each, the one with which most matches agree. The draws are the same each time.
 fn sample(matches: &[Match], size: (usize, usize)) -> Model {
-    let mut state = 0x2545_F491_4F6C_DD1D_u64;
-    let mut draw = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        &matches[(state >> 33) as usize % matches.len()]
-    };
+    let mut draws = Draw(0x2545_F491_4F6C_DD1D);
+    let mut draw = || &matches[draws.below(matches.len())];
     let mut best = (0, Model::default());
     for _ in 0..if matches.len() < FEWEST { 0 } else { TRIES } {
         let rows = [draw(), draw(), draw()].map(|m| row(m, size));

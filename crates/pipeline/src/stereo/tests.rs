@@ -6,6 +6,7 @@ use super::sgm::{self, Range, Views};
 use super::*;
 use crate::depth::DepthError;
 use crate::photo::resize;
+use tmpi_testing::jpeg::{segment, with_segments};
 
 fn noise(x: u32, y: u32, seed: u32) -> u8 {
     let i = (y.wrapping_mul(4099).wrapping_add(x).wrapping_add(seed.wrapping_mul(77_777))).wrapping_mul(2_654_435_761);
@@ -195,7 +196,7 @@ fn panoramas_are_refused_unless_stereo_is_none() {
              xmlns:GPano='http://ns.google.com/photos/1.0/panorama/' {properties}/></rdf:RDF></x:xmpmeta>"
         );
         let body = [b"http://ns.adobe.com/xap/1.0/\0".as_slice(), xmp.as_bytes()].concat();
-        [b"\xff\xd8\xff\xe1".as_slice(), &(body.len() as u16 + 2).to_be_bytes(), &body, b"\xff\xd9"].concat()
+        with_segments(b"\xff\xd8\xff\xd9", &[segment(0xE1, &body)])
     };
     let sphere = "GPano:ProjectionType='equirectangular'";
     let cropped = |own: u32| format!("{sphere} GPano:CroppedAreaImageWidthPixels='{own}' GPano:FullPanoWidthPixels='3600'");

@@ -4,8 +4,8 @@
 //! they mean the same on the map of another network. The region of a stroke is found from the photo, see [`Outlines`].
 
 mod original_map;
-mod outline;
 mod read;
+mod region;
 #[cfg(test)]
 mod tests;
 
@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 use tmpi_core::{DisparityMap, Photo};
 
 pub use original_map::{HEAD, before, keep, to_keep};
-pub use outline::{Outlines, Region};
 pub use read::{StrokeError, patch, read, write};
+pub use region::{Outlines, Region};
 
 /// Version of the file of strokes that this program writes and reads.
 pub const VERSION: u32 = 1;

@@ -3,7 +3,7 @@
 //! It is a chunk of the PNG file that readers of pictures skip (ancillary, private, unsafe to copy), directly after the header, so that
 //! the beginning of a file suffices to read it.
 
-use super::outline::SIDE;
+use super::region::SIDE;
 use crate::depth::{DepthError, resized, to_png};
 use crate::photo::reduced_size;
 use tmpi_core::DisparityMap;
@@ -57,11 +57,6 @@ mod tests {
     use crate::depth::{DepthKind, from_map};
     use crate::photo::Limits;
 
-    fn map(width: u32, height: u32, value: impl Fn(u32, u32) -> f32) -> DisparityMap {
-        let delta = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| value(x, y)).collect();
-        DisparityMap { width, height, delta }
-    }
-
     fn read(file: &[u8], (w, h): (u32, u32)) -> DisparityMap {
         let (map, size) = from_map(file, DepthKind::Disparity, &Limits::default(), w, h).unwrap();
         assert_eq!(size, (w, h));
@@ -70,7 +65,8 @@ mod tests {
 
     #[test]
     fn both_maps_are_read_back_and_picture_readers_see_only_the_map_after() {
-        let (after, before_them) = (map(40, 30, |x, y| (x + y) as f32 / 70.0), map(40, 30, |x, _| x as f32 / 40.0));
+        let (after, before_them) =
+            (DisparityMap::from_fn(40, 30, |x, y| (x + y) as f32 / 70.0), DisparityMap::from_fn(40, 30, |x, _| x as f32 / 40.0));
         let plain = to_png(&after).unwrap();
         let file = keep(&plain, &before_them).unwrap();
         assert!(before(&plain).is_none() && before(&[]).is_none() && before(&plain[..20]).is_none());
@@ -88,11 +84,11 @@ mod tests {
 
     #[test]
     fn a_large_map_is_stored_small_with_its_edges_and_the_worst_map_fits() {
-        let kept = to_keep(&map(2000, 1000, |x, _| if x < 1000 { 0.2 } else { 0.8 }));
+        let kept = to_keep(&DisparityMap::from_fn(2000, 1000, |x, _| if x < 1000 { 0.2 } else { 0.8 }));
         assert_eq!((kept.width, kept.height), (640, 320));
         assert!(kept.delta.iter().all(|d| (d - 0.2).abs() < 1e-6 || (d - 0.8).abs() < 1e-6));
-        let noise = map(SIDE, SIDE, |x, y| ((x * 7919 + y * 104_729) % 65_521) as f32 / 65_521.0);
-        let file = keep(&to_png(&map(9, 9, |_, _| 0.5)).unwrap(), &noise).unwrap();
+        let noise = DisparityMap::from_fn(SIDE, SIDE, |x, y| ((x * 7919 + y * 104_729) % 65_521) as f32 / 65_521.0);
+        let file = keep(&to_png(&DisparityMap::from_fn(9, 9, |_, _| 0.5)).unwrap(), &noise).unwrap();
         assert_eq!(before(&file[..HEAD.min(file.len())]).map(<[u8]>::len), before(&file).map(<[u8]>::len));
         assert!(before(&file).is_some());
     }

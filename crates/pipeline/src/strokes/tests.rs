@@ -105,8 +105,7 @@ fn strokes_are_applied_in_order() {
 fn a_larger_photo_of_the_scene_has_the_same_region() {
     let scene = |n: u32| {
         let inside = |v: u32| (n / 4..n / 2).contains(&v);
-        let rgb = (0..n * n).map(|i| if inside(i % n) && inside(i / n) { [180; 3] } else { [90; 3] }).collect();
-        Photo { width: n, height: n, rgb }
+        Photo::from_fn(n, n, |x, y| if inside(x) && inside(y) { [180; 3] } else { [90; 3] })
     };
     let stroke = dab([0.36, 0.39], 0.12, Effect::To(1.0));
     let share = |n: u32| covered(&scene(n), &stroke).iter().filter(|c| **c).count() as f64 / f64::from(n * n);

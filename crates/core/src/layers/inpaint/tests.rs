@@ -179,20 +179,3 @@ fn without_sources_the_fill_is_the_mean_of_the_layers_rectangle() {
     let colours = Inpainter::new(&photo, &b).fill(0, &Plane::fronto_parallel(0.1), grid.rect(0), &class, &mut Pyramid::default());
     assert_eq!(colours, vec![[100, 80, 72]; 64]);
 }
-
-#[test]
-fn a_reused_pyramid_gives_the_same_colours() {
-    let (w, h) = (64u32, 40u32);
-    let photo =
-        Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i * 7 % 256) as u8, (i / 13 % 256) as u8]).collect() };
-    let grid = Grid::new(w, h, 64);
-    let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.8)];
-    let b = geometry(grid, planes.clone(), (0..w * h).map(|i| u8::from(i % w >= 40)).collect());
-    let class: Vec<u8> = (0..w * h).map(|i| if i % w < 40 { Class::Photo } else { Class::Hidden } as u8).collect();
-    let filler = Inpainter::new(&photo, &b);
-    let mut used = Pyramid::default();
-    let first = filler.fill(0, &planes[0], grid.rect(0), &class, &mut used);
-    let small = filler.fill(0, &planes[0], Rect { x: 41, y: 3, w: 2, h: 1 }, &[Class::Hidden as u8; 2], &mut used);
-    assert_eq!(small.len(), 2);
-    assert_eq!(filler.fill(0, &planes[0], grid.rect(0), &class, &mut used), first);
-}

@@ -55,12 +55,11 @@ pub enum ModelError {
 }
 
 /// The axis of a file that points up.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Up {
-    /// As in the glTF specification.
-    #[default]
+    /// As in the glTF specification
     Y,
-    /// As many exporters write it.
+    /// As many exporters write it
     Z,
 }
 

@@ -2,8 +2,7 @@
 
 use base64::Engine as _;
 use image::{GrayImage, ImageFormat, Luma, Rgb, RgbImage};
-use proptest::prelude::*;
-use tmpi_testing::jpeg::multi_picture;
+use tmpi_testing::jpeg::{multi_picture, segment, with_segments as with};
 use tmpi_testing::pictures::encoded;
 
 use super::*;
@@ -22,16 +21,6 @@ fn map() -> GrayImage {
     GrayImage::from_fn(W / 2, H / 2, |x, _| Luma([if x < W / 4 { 51 } else { 204 }]))
 }
 
-fn segment(marker: u8, body: &[&[u8]]) -> Vec<u8> {
-    let body = body.concat();
-    [&[0xFF, marker], ((body.len() + 2) as u16).to_be_bytes().as_slice(), &body].concat()
-}
-
-/// The file with `segments` after its first marker.
-fn with(file: &[u8], segments: &[Vec<u8>]) -> Vec<u8> {
-    [&file[..2], &segments.concat(), &file[2..]].concat()
-}
-
 fn packet(description: &str) -> String {
     format!(
         "<?xpacket begin='\u{feff}' id='W5M0MpCehiHzreSzNTczkc9d'?><x:xmpmeta xmlns:x='adobe:ns:meta/'>\
@@ -40,7 +29,7 @@ fn packet(description: &str) -> String {
 }
 
 fn main(description: &str) -> Vec<u8> {
-    segment(0xE1, &[b"http://ns.adobe.com/xap/1.0/\0", packet(description).as_bytes()])
+    segment(0xE1, &[b"http://ns.adobe.com/xap/1.0/\0", packet(description).as_bytes()].concat())
 }
 
 /// An extended packet in segments of 200 bytes; its name is 32 times the same letter.
@@ -48,7 +37,8 @@ fn extended(description: &str, name: u8) -> Vec<Vec<u8>> {
     let whole = packet(description);
     let part = |(i, bytes): (usize, &[u8])| {
         let (length, at) = (whole.len() as u32, (i * 200) as u32);
-        segment(0xE1, &[b"http://ns.adobe.com/xmp/extension/\0", &[name; 32], &length.to_be_bytes(), &at.to_be_bytes(), bytes])
+        let name = [name; 32];
+        segment(0xE1, &[b"http://ns.adobe.com/xmp/extension/\0", &name[..], &length.to_be_bytes(), &at.to_be_bytes(), bytes].concat())
     };
     whole.as_bytes().chunks(200).enumerate().map(part).collect()
 }
@@ -222,7 +212,7 @@ fn a_map_is_turned_upright_with_its_photo() {
 /// Sets orientation 6: the stored top is the upright right.
 fn on_its_side(file: &[u8]) -> Vec<u8> {
     let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0".as_slice(), &[0; 4]].concat();
-    with(file, &[segment(0xE1, &[&exif])])
+    with(file, &[segment(0xE1, &exif)])
 }
 
 #[test]
@@ -264,21 +254,10 @@ fn a_map_may_be_larger_than_its_photo_but_not_than_memory_allows() {
     assert!(read(&with(W, H + 1), &Limits { pixels: u64::from(W * H), ..Limits::default() }, W, H).is_err());
 }
 
-struct Flat;
-
-impl crate::depth::Estimator for Flat {
-    fn name(&self) -> &'static str {
-        "flat"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
-    }
-}
-
 #[test]
 fn carried_depth_is_used_unless_a_map_is_given_or_it_is_switched_off() {
-    let models = Models { depth: std::sync::Arc::new(Flat), theta: None, psi: None };
+    let flat = |photo: &Photo| Ok(DisparityMap::from_fn(photo.width, photo.height, |_, _| 0.5));
+    let models = Models { depth: std::sync::Arc::new(("flat", flat)), theta: None, psi: None };
     let make = |file: &[u8], given: Option<&[u8]>, photo_depth| {
         let options = Options { photo_depth, ..Options::default() };
         crate::make(&models, &Limits::default(), file, given, &options, &crate::Silent).map(|made| made.report)
@@ -300,21 +279,6 @@ fn carried_depth_is_used_unless_a_map_is_given_or_it_is_switched_off() {
     let report = make(&broken, None, Switch::Auto).unwrap();
     assert!(report.depth_model == "flat" && report.input.depth_problem.unwrap().contains("not form a range"));
     assert!(make(&broken, None, Switch::On).is_err() && make(&photo(), None, Switch::On).is_err());
-}
-
-proptest! {
-    #[test]
-    fn damage_is_an_error_or_ignored(at in 0usize..4000, value: u8, which in 0u8..3, cut in 0usize..9000) {
-        let mut file = match which { 0 => gdepth("RangeInverse", "1", "5"), 1 => dynamic("android/depthmap"), _ => multi(&PORTRAIT) };
-        let at = at % file.len();
-        file[at] = value;
-        file.truncate(cut.max(2));
-        if let Ok(Some(found)) = embedded_depth(&file)
-            && let Ok(Read { map, .. }) = found.read(&Limits::default(), W, H)
-        {
-            prop_assert!(map.delta.len() == (W * H) as usize && map.delta.iter().all(|d| (0.0..=1.0).contains(d)));
-        }
-    }
 }
 
 /// These photos as files, for fuzzing and for trying them out; `TMPI_BLESS=embedded_depth` writes them anew.

@@ -270,9 +270,9 @@ fn digest(file: &Path) -> io::Result<Digest> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::{BufRead, BufReader};
-    use std::net::TcpListener;
     use std::sync::{Arc, Mutex};
+
+    use tmpi_testing::{Answer, Request, StandIn};
 
     /// How the server misbehaves.
     #[derive(Clone, Copy, PartialEq)]
@@ -291,72 +291,56 @@ mod tests {
         Refuses,
     }
 
-    struct Server {
-        url: String,
-        mood: Arc<Mutex<Mood>>,
-        requests: Arc<Mutex<Vec<Option<u64>>>>,
-    }
-
-    fn serve(content: Vec<u8>) -> Server {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let url = format!("http://{}/model.onnx", listener.local_addr().unwrap());
-        let (mood, requests) = (Arc::new(Mutex::new(Mood::Well)), Arc::new(Mutex::new(Vec::new())));
-        let (m, a) = (Arc::clone(&mood), Arc::clone(&requests));
-        std::thread::spawn(move || {
-            let mut stalled = Vec::new();
-            for stream in listener.incoming() {
-                let mut stream = stream.unwrap();
-                let mut from = None;
-                for line in BufReader::new(&stream).lines().map_while(Result::ok).take_while(|l| !l.is_empty()) {
-                    if let Some(range) = line.to_ascii_lowercase().strip_prefix("range: bytes=") {
-                        from = range.trim_end_matches('-').parse::<u64>().ok();
-                    }
-                }
-                a.lock().unwrap().push(from);
-                let mood = *m.lock().unwrap();
-                let at = from.filter(|_| mood != Mood::Whole).unwrap_or(0) as usize;
-                let mut body = content[at.min(content.len())..].to_vec();
-                if mood == Mood::Spoils {
-                    let middle = body.len() / 2;
-                    body[middle] ^= 1;
-                }
-                if mood == Mood::Longer {
-                    body.push(7);
-                }
-                let head = match mood {
-                    Mood::Refuses => "404 Not Found".to_owned(),
-                    _ if at > 0 => format!("206 Partial Content\r\nContent-Range: bytes {at}-{}/{}", content.len() - 1, content.len()),
-                    _ => "200 OK".to_owned(),
-                };
-                let sent = if matches!(mood, Mood::Cuts | Mood::Stalls) { body.len() / 2 } else { body.len() };
-                let head = format!("HTTP/1.1 {head}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
-                let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body[..sent]));
-                if mood == Mood::Stalls {
-                    stalled.push(stream);
-                }
-            }
-        });
-        Server { url, mood, requests }
-    }
-
     struct Case {
-        server: Server,
+        server: StandIn,
+        mood: Arc<Mutex<Mood>>,
         content: Vec<u8>,
         folder: tempfile::TempDir,
         sha256: Digest,
     }
 
+    /// The first byte that a request asks for.
+    fn from(request: &Request) -> Option<u64> {
+        request.header("range").strip_prefix("bytes=")?.trim_end_matches('-').parse().ok()
+    }
+
+    fn answer(request: &Request, content: &[u8], mood: Mood) -> Answer {
+        let at = from(request).filter(|_| mood != Mood::Whole).unwrap_or(0) as usize;
+        let mut body = content[at.min(content.len())..].to_vec();
+        if mood == Mood::Spoils {
+            let middle = body.len() / 2;
+            body[middle] ^= 1;
+        }
+        if mood == Mood::Longer {
+            body.push(7);
+        }
+        let head = match mood {
+            Mood::Refuses => "404 Not Found".to_owned(),
+            _ if at > 0 => format!("206 Partial Content\r\nContent-Range: bytes {at}-{}/{}", content.len() - 1, content.len()),
+            _ => "200 OK".to_owned(),
+        };
+        let head = format!("HTTP/1.1 {head}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
+        let sent = if matches!(mood, Mood::Cuts | Mood::Stalls) { body.len() / 2 } else { body.len() };
+        let bytes = [head.as_bytes(), &body[..sent]].concat();
+        if mood == Mood::Stalls { Answer::Stalled(bytes) } else { Answer::bytes(bytes) }
+    }
+
     fn case() -> Case {
         let content: Vec<u8> = (0..300_000u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
-        let sha256 = Digest(Sha256::digest(&content).into());
-        Case { server: serve(content.clone()), content, folder: tempfile::tempdir().unwrap(), sha256 }
+        let (mood, sha256) = (Arc::new(Mutex::new(Mood::Well)), Digest(Sha256::digest(&content).into()));
+        let (of, sent) = (Arc::clone(&mood), content.clone());
+        let server = StandIn::start(move |request| answer(request, &sent, *of.lock().unwrap()));
+        Case { server, mood, content, folder: tempfile::tempdir().unwrap(), sha256 }
     }
 
     impl Case {
         fn fetch(&self, mood: Mood, bytes: Option<u64>) -> Result<bool, DownloadError> {
-            *self.server.mood.lock().unwrap() = mood;
-            let wanted = RemoteFile { url: &self.server.url, bytes, sha256: self.sha256 };
-            fetch(&wanted, &self.file(), |_, _| {})
+            *self.mood.lock().unwrap() = mood;
+            fetch(&RemoteFile { url: &self.url(), bytes, sha256: self.sha256 }, &self.file(), |_, _| {})
+        }
+
+        fn url(&self) -> String {
+            self.server.url("/model.onnx")
         }
 
         fn file(&self) -> PathBuf {
@@ -366,19 +350,24 @@ mod tests {
         fn part(&self) -> PathBuf {
             self.folder.path().join("sub/model.onnx.part")
         }
+
+        /// The first bytes that the requests asked for.
+        fn requests(&self) -> Vec<Option<u64>> {
+            self.server.answered().iter().map(from).collect()
+        }
     }
 
     #[test]
     fn a_file_is_fetched_completely_and_only_once() {
         let c = case();
         let mut last = (0, None);
-        let wanted = RemoteFile { url: &c.server.url, bytes: None, sha256: c.sha256 };
+        let wanted = RemoteFile { url: &c.url(), bytes: None, sha256: c.sha256 };
         assert!(fetch(&wanted, &c.file(), |have, all| last = (have, all)).unwrap());
         assert_eq!(last, (300_000, Some(300_000)));
         assert_eq!(std::fs::read(c.file()).unwrap(), c.content);
         assert!(!c.part().exists());
         assert!(!c.fetch(Mood::Refuses, None).unwrap(), "it is there already");
-        assert_eq!(c.server.requests.lock().unwrap().len(), 1);
+        assert_eq!(c.requests().len(), 1);
     }
 
     #[test]
@@ -389,24 +378,24 @@ mod tests {
         assert!(!c.file().exists() && c.part().exists());
         assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
         assert_eq!(std::fs::read(c.file()).unwrap(), c.content);
-        assert_eq!(*c.server.requests.lock().unwrap(), [None, Some(150_000)]);
+        assert_eq!(c.requests(), [None, Some(150_000)]);
     }
 
     #[test]
     fn a_download_from_a_silent_server_ends_and_can_resume() {
         let c = case();
-        *c.server.mood.lock().unwrap() = Mood::Stalls;
-        let wanted = RemoteFile { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
+        *c.mood.lock().unwrap() = Mood::Stalls;
+        let wanted = RemoteFile { url: &c.url(), bytes: Some(300_000), sha256: c.sha256 };
         let silent = fetch_within(Duration::from_millis(300), sync, &wanted, &c.file(), |_, _| {}).unwrap_err();
         assert!(matches!(silent, DownloadError::Truncated { have: 150_000, want: 300_000 }), "{silent}");
         assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
-        assert_eq!(*c.server.requests.lock().unwrap(), [None, Some(150_000)]);
+        assert_eq!(c.requests(), [None, Some(150_000)]);
     }
 
     #[test]
     fn the_folder_is_synced_after_the_rename_and_its_error_is_returned() {
         let c = case();
-        let wanted = RemoteFile { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
+        let wanted = RemoteFile { url: &c.url(), bytes: Some(300_000), sha256: c.sha256 };
         let synced = std::cell::RefCell::new(Vec::new());
         let seen = |folder: &Path| {
             synced.borrow_mut().push((folder.to_owned(), c.file().exists(), c.part().exists()));

@@ -2,7 +2,7 @@
 // aspect ratio and its name.
 import { word } from '../i18n/element.js';
 
-import { Sheet } from './sheet.js';
+import { Sheet } from './style-sheet.js';
 
 const STYLE = `
   :host { display: block; position: relative; overflow: hidden; aspect-ratio: var(--tmpi-shape, 16 / 10); }
@@ -45,7 +45,7 @@ export const NAMES = ['aria-label', 'alt', 'title'];
 /** Values that turn off what is on by default. */
 export const OFF = new Set(['off', 'false']);
 
-export class Face {
+export class ShadowTree {
   #host;
   #sheet;
   #poster = make('img', 'poster');

@@ -25,7 +25,6 @@ fn together(version: &[u8], index: &Index, body: &[u8]) -> Vec<u8> {
 }
 
 /// Corrects the checksums of a container's bands, so that a reader gets past them; `None` if the container has no bands.
-#[must_use]
 pub fn with_checksums(bytes: &[u8]) -> Option<Vec<u8>> {
     let (mut index, body) = apart(bytes)?;
     set_checksums(&mut index, body).then(|| together(&bytes[4..8], &index, body))
@@ -48,7 +47,6 @@ fn set_checksums(index: &mut Index, body: &[u8]) -> bool {
 
 /// Builds a container that is valid except for the changes that the last bytes of `data` make. Its checksums are correct. `None` if no
 /// container can be written from `data`.
-#[must_use]
 pub fn build(data: &[u8]) -> Option<Vec<u8>> {
     let mut script = Script(data);
     let geometry = geometry(&mut script, MAX_PLANES);
@@ -89,18 +87,16 @@ pub fn build(data: &[u8]) -> Option<Vec<u8>> {
 
 /// Changes a field of the index or of a section, some bytes, or the order of sections.
 fn change(script: &mut Script, index: &mut Index, body: &mut Vec<u8>) {
-    let number = |script: &mut Script, field: &mut u32| *field = script.number(u64::from(*field)) as u32;
     match script.below(8) {
         0 => {
             let Index { width, height, tile_size, tile_stride, planes, hidden_blocks, hidden_columns, .. } = index;
-            let fields = [width, height, tile_size, tile_stride, planes, hidden_blocks, hidden_columns];
-            let at = script.below(7) as usize;
-            fields.into_iter().skip(at).take(1).for_each(|f| number(script, f));
+            script.change(&mut [width, height, tile_size, tile_stride, planes, hidden_blocks, hidden_columns]);
         }
         1 => {
             let Index { fx, fy, cx, cy, view_x, view_y, view_z, .. } = index;
+            let fields = &mut [fx, fy, cx, cy, view_x, view_y, view_z];
             let at = script.below(7) as usize;
-            [fx, fy, cx, cy, view_x, view_y, view_z].into_iter().skip(at).take(1).for_each(|f| *f = script.real(*f));
+            *fields[at] = script.real(*fields[at]);
         }
         2 | 3 => {
             let at = script.below(index.sections.len() as u32) as usize;
@@ -114,8 +110,7 @@ fn change(script: &mut Script, index: &mut Index, body: &mut Vec<u8>) {
                 _ => {
                     let at = script.below(section.bands.len() as u32) as usize;
                     let Some(band) = section.bands.get_mut(at) else { return };
-                    let field = if script.below(2) == 0 { &mut band.rows } else { &mut band.length };
-                    number(script, field);
+                    script.change(&mut [&mut band.rows, &mut band.length]);
                 }
             }
         }

@@ -1,20 +1,18 @@
-//! Fuzzing targets for the readers of untrusted bytes. `fuzz/` runs them under libFuzzer; `tests/fuzz.rs` runs them on the seeds and on
-//! changed seeds. Not part of the public interface. Each target checks its **promise** and returns a bound of the memory that it may take.
+//! Fuzzing targets for the readers of untrusted bytes. `fuzz.rs` runs them under libFuzzer; `tests/fuzz.rs` runs them on the seeds and on
+//! changed seeds. Each target checks its **promise** and returns a bound of the memory that it may take.
 
 use std::fmt::Display;
 use std::str::FromStr;
 
-use axum::http::{HeaderMap, HeaderValue, Uri, header};
-
+use tmpi::{cli, server};
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::{FrameTiming, Layers, TileState};
-use tmpi_core::{DisparityMap, Photo, Rect, container};
-use tmpi_live::access_units::Splitter;
+use tmpi_core::{DisparityMap, Grid, Photo, Rect, container};
+use tmpi_live::access_units::{Splitter, Unit};
 use tmpi_live::depth_codec;
+use tmpi_live::video::Decoder;
 use tmpi_pipeline::depth::{self as maps, DepthKind, Read};
 use tmpi_pipeline::{networks, photo, strokes};
-
-use crate::{cli, server};
 
 mod arbitrary;
 mod container_file;
@@ -24,7 +22,7 @@ mod room;
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 27] = [
+pub const TARGETS: [(&str, Run); 26] = [
     ("container", container),
     ("built", built),
     ("levels", levels),
@@ -32,7 +30,6 @@ pub const TARGETS: [(&str, Run); 27] = [
     ("planes", planes),
     ("message", message),
     ("room", room),
-    ("units", units),
     ("video", video),
     ("vp9", vp9),
     ("measured", measured),
@@ -142,10 +139,14 @@ fn read_all(file: &[u8]) {
     }
 }
 
+fn grid(width: u8, height: u8, size: u8) -> Grid {
+    container::fuzzing::grid(u32::from(width) + 1, u32::from(height) + 1, u32::from(size) % 80 + 1)
+}
+
 /// The labels of a grid. Promise: labels below their tile's count, which survive writing and reading.
 fn labels(data: &[u8]) -> usize {
     let Some((head, stream)) = data.split_first_chunk::<8>() else { return LEAST };
-    let grid = container::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
+    let grid = grid(head[0], head[1], head[2]);
     let counts: Vec<u8> = (0..grid.tiles()).map(|t| head[3 + t as usize % 5] % 66).collect();
     container::fuzzing::labels(&grid, &counts, stream);
     LEAST + 8 * data.len() + 64 * (grid.width * grid.height) as usize
@@ -154,7 +155,7 @@ fn labels(data: &[u8]) -> usize {
 /// The planes of a grid, unpacked. Promise: writing them gives the same bytes.
 fn planes(data: &[u8]) -> usize {
     let Some((head, columns)) = data.split_first_chunk::<4>() else { return LEAST };
-    let grid = container::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
+    let grid = grid(head[0], head[1], head[2]);
     let tiles = grid.tiles() as usize;
     let given = columns.len().saturating_sub(tiles) / 6;
     // sometimes a count that does not fit the bytes
@@ -167,12 +168,8 @@ fn planes(data: &[u8]) -> usize {
 fn query(data: &[u8]) -> usize {
     let text = String::from_utf8_lossy(data);
     let (query, range) = text.split_once('\n').unwrap_or((&text, "bytes=0-"));
-    if let Ok(uri) = format!("/v1/photos/x/view?{query}").parse::<Uri>() {
-        server::fuzzing::view(&uri);
-    }
-    if let Ok(value) = HeaderValue::from_str(range) {
-        server::fuzzing::range(&HeaderMap::from_iter([(header::RANGE, value)]), data.len());
-    }
+    server::fuzzing::view(query);
+    server::fuzzing::range(range, data.len());
     LEAST + 64 * data.len()
 }
 
@@ -227,13 +224,17 @@ fn icc(data: &[u8]) -> usize {
     LEAST + DECODER + 32 * data.len()
 }
 
+fn check_map(map: &DisparityMap, width: u32, height: u32) {
+    assert_eq!((map.width, map.height, map.delta.len()), (width, height, (width * height) as usize));
+    assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+}
+
 /// A user's depth map, for a photo of another size. Promise: a finite value for each pixel; the check accepts every map that can be read.
 fn depth(data: &[u8]) -> usize {
     let kind = if data.last().is_some_and(|b| b % 2 == 1) { DepthKind::Metric } else { DepthKind::Disparity };
     if let Ok((map, _)) = maps::from_map(data, kind, &PHOTO, 21, 13) {
         assert!(maps::check(data, &PHOTO).is_ok(), "read a map that the check refuses");
-        assert_eq!(map.delta.len(), 21 * 13);
-        assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+        check_map(&map, 21, 13);
     }
     LEAST + DECODER + 8 * data.len() + 64 * SLOW as usize
 }
@@ -243,8 +244,7 @@ fn embedded_depth(data: &[u8]) -> usize {
     if let Ok(Some(found)) = maps::embedded_depth(data)
         && let Ok(Read { map, .. }) = found.read(&PHOTO, 21, 13)
     {
-        assert_eq!(map.delta.len(), 21 * 13);
-        assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+        check_map(&map, 21, 13);
     }
     LEAST + DECODER + 16 * data.len() + 64 * SLOW as usize
 }
@@ -296,51 +296,47 @@ fn room(data: &[u8]) -> usize {
     most + 2048 * pixels
 }
 
-/// A stream of H.264, in pieces. Promise: the units contain the stream's bytes, for any sizes of the pieces.
-fn units(data: &[u8]) -> usize {
-    let Some((size, stream)) = data.split_first() else { return LEAST };
-    let split = |size: usize| {
-        let (mut splitter, mut units) = (Splitter::default(), Vec::new());
-        for piece in stream.chunks(size.max(1)) {
-            units.extend(splitter.push(piece).ok()?);
-        }
-        units.extend(splitter.finish());
-        Some(units)
-    };
-    assert_eq!(split(usize::from(*size)), split(stream.len()));
-    LEAST + 16 * data.len()
+/// Size of the video targets' frames.
+const FRAME: (u32, u32) = (64, 48);
+
+fn decode_frame(decoder: &mut dyn Decoder, data: &[u8]) {
+    if let Ok(Some(photo)) = decoder.decode(data) {
+        assert_eq!((photo.width, photo.height, photo.rgb.len()), (FRAME.0, FRAME.1, (FRAME.0 * FRAME.1) as usize));
+    }
 }
 
-/// A publisher's H.264 frames of 64×48 pixels. Promise: an error or a picture of that size; memory by the size.
-fn video(data: &[u8]) -> usize {
-    const SIZE: (u32, u32) = (64, 48);
-    let most = LEAST + ROOM + 16 * data.len();
-    // builds without a decoder have nothing to test
-    let Ok(mut decoder) = tmpi_live::video::decoder("avc1.42e01e", SIZE) else { return most };
-    let mut splitter = Splitter::default();
-    let mut units = splitter.push(data).unwrap_or_default();
+/// The access units of an H.264 stream that comes in pieces of `size` bytes.
+fn units(stream: &[u8], size: usize) -> Option<Vec<Unit>> {
+    let (mut splitter, mut units) = (Splitter::default(), Vec::new());
+    for piece in stream.chunks(size.max(1)) {
+        units.extend(splitter.push(piece).ok()?);
+    }
     units.extend(splitter.finish());
-    for unit in units {
-        if let Ok(Some(photo)) = decoder.decode(&unit.data) {
-            assert_eq!((photo.width, photo.height, photo.rgb.len()), (SIZE.0, SIZE.1, (SIZE.0 * SIZE.1) as usize));
-        }
-    }
-    most
+    Some(units)
 }
 
-/// VP9 frames of 64×48 pixels, each after its length in two bytes. Promise: as for [`video`].
-fn vp9(mut data: &[u8]) -> usize {
-    const SIZE: (u32, u32) = (64, 48);
-    let most = LEAST + ROOM + 16 * data.len();
-    let Ok(mut decoder) = tmpi_live::video::decoder("vp09.00.10.08", SIZE) else { return most };
-    while let Some((length, rest)) = data.split_first_chunk::<2>() {
-        let (frame, rest) = rest.split_at(usize::from(u16::from_le_bytes(*length)).min(rest.len()));
-        if let Ok(Some(photo)) = decoder.decode(frame) {
-            assert_eq!((photo.width, photo.height, photo.rgb.len()), (SIZE.0, SIZE.1, (SIZE.0 * SIZE.1) as usize));
-        }
-        data = rest;
+/// A publisher's H.264 frames. Promise: the same units for any sizes of the pieces; an error or a picture of the right size; memory by the
+/// bytes and by that size.
+fn video(data: &[u8]) -> usize {
+    let whole = units(data, data.len());
+    assert_eq!(units(data, 1 + data.len() % 64), whole, "the sizes of the pieces matter");
+    if let Ok(mut decoder) = tmpi_live::video::decoder("avc1.42e01e", FRAME) {
+        whole.iter().flatten().for_each(|unit| decode_frame(decoder.as_mut(), &unit.data));
     }
-    most
+    LEAST + ROOM + 16 * data.len()
+}
+
+/// VP9 frames, each after its length in two bytes. Promise: as for [`video`].
+fn vp9(data: &[u8]) -> usize {
+    if let Ok(mut decoder) = tmpi_live::video::decoder("vp09.00.10.08", FRAME) {
+        let mut rest = data;
+        while let Some((length, frames)) = rest.split_first_chunk::<2>() {
+            let (frame, after) = frames.split_at(usize::from(u16::from_le_bytes(*length)).min(frames.len()));
+            decode_frame(decoder.as_mut(), frame);
+            rest = after;
+        }
+    }
+    LEAST + ROOM + 16 * data.len()
 }
 
 /// Depth that a publisher's camera measured, for a frame whose sides are the first two bytes. Promise: an error, or a map of that size
@@ -348,14 +344,12 @@ fn vp9(mut data: &[u8]) -> usize {
 fn measured(data: &[u8]) -> usize {
     let Some((head, packed)) = data.split_first_chunk::<2>() else { return LEAST };
     let (width, height) = (u32::from(head[0]) + 1, u32::from(head[1]) + 1);
-    let count = width as usize * height as usize;
     if let Ok(map) = depth_codec::unpack(packed, width, height) {
-        assert_eq!((map.width, map.height, map.delta.len()), (width, height, count));
-        assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+        check_map(&map, width, height);
         let again = depth_codec::pack(&map).and_then(|packed| depth_codec::unpack(&packed, width, height));
         assert!(again.is_ok_and(|again| again == map), "the map differs after packing");
     }
-    LEAST + 2 * data.len() + 64 * count
+    LEAST + 2 * data.len() + 64 * (width * height) as usize
 }
 
 /// A merge patch of strokes, applied to a small photo. Promise: an error, with a field if it is JSON, or strokes that survive writing and
@@ -373,7 +367,7 @@ fn touch_up(data: &[u8]) -> usize {
     let photo = Photo { width: 21, height: 13, rgb: (0..21 * 13).map(|i| [i as u8; 3]).collect() };
     let mut map = DisparityMap { width: 21, height: 13, delta: vec![0.5; 21 * 13] };
     strokes::apply(&photo, &mut map, None, &strokes);
-    assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+    check_map(&map, 21, 13);
     most
 }
 
@@ -387,9 +381,7 @@ fn forwarded(data: &[u8]) -> usize {
 
 /// An address with a signed link. Promise: the address without it has none, and a link survives writing and reading.
 fn link(data: &[u8]) -> usize {
-    if let Ok(uri) = String::from_utf8_lossy(data).parse::<Uri>() {
-        server::fuzzing::link(&uri);
-    }
+    server::fuzzing::link(&String::from_utf8_lossy(data));
     LEAST + 64 * data.len()
 }
 
@@ -420,21 +412,6 @@ fn onnx(data: &[u8]) -> usize {
 
 /// A file of settings. Promise: an error, or arguments for the command line.
 fn config(data: &[u8]) -> usize {
-    cli::config::fuzz(&String::from_utf8_lossy(data));
+    cli::fuzz_config(&String::from_utf8_lossy(data));
     LEAST + 256 * data.len()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn xtask_fuzz_knows_every_target() {
-        let task = include_str!("../xtask/src/fuzz.rs");
-        let list = task.split("const TARGETS").nth(1).and_then(|t| t.split(';').nth(1)).unwrap();
-        for (name, _) in TARGETS {
-            assert!(list.contains(&format!("\"{name}\"")), "{name} is missing in {list}");
-        }
-        assert_eq!(list.matches('"').count(), 2 * TARGETS.len());
-    }
 }

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { after, before, describe, test } from 'node:test';
-import { Tmpi, TmpiError } from '../../../npm/rest.js';
+import { Tmpi, TmpiError } from '../../../npm/rest-client.js';
 import { boxDepth, boxPhoto } from '../support/pictures.mjs';
 import { startServer } from '../support/program.mjs';
 

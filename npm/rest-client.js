@@ -1,4 +1,4 @@
-// A client of tmpi's HTTP interface, for browsers and Node 20 or newer, built on `fetch` alone. Types: rest.d.ts.
+// A client of tmpi's HTTP interface, for browsers and Node 20 or newer, built on `fetch` alone. Types: rest-client.d.ts.
 //
 // Reads, and uploads with credentials, are retried after a broken connection, after silence, and after 429 and 503. Other requests are
 // retried only after 429, where the server did nothing. `Retry-After` is honoured.
@@ -18,9 +18,9 @@ const ENDS = new Set(['done', 'failed', 'damaged', 'deleted']);
 /** Why there is no answer; `reason` tells which kind. */
 export class TmpiError extends Error {
   /**
-   * @param {import('./rest.js').Reason} reason
+   * @param {import('./rest-client.js').Reason} reason
    * @param {string} message
-   * @param {import('./rest.js').Problem} [problem]
+   * @param {import('./rest-client.js').Problem} [problem]
    */
   constructor(reason, message, problem) {
     super(message);
@@ -148,7 +148,7 @@ function blocks(text) {
 
 /** A server, as one caller sees it. */
 export class Tmpi {
-  /** @param {string} base @param {import('./rest.js').ClientOptions} [options] */
+  /** @param {string} base @param {import('./rest-client.js').ClientOptions} [options] */
   constructor(base, options = {}) {
     this.base = new URL(base);
     if (!/^https?:$/.test(this.base.protocol)) throw new TmpiError('input', `not the address of a server: ${base}`);
@@ -242,7 +242,7 @@ export class Tmpi {
     );
   }
 
-  /** @param {Blob | ArrayBuffer | Uint8Array<ArrayBuffer>} photo @param {import('./rest.js').UploadOptions} [options] */
+  /** @param {Blob | ArrayBuffer | Uint8Array<ArrayBuffer>} photo @param {import('./rest-client.js').UploadOptions} [options] */
   async upload(photo, { title, visibility, depth, options = {}, wait = 0, signal } = {}) {
     const blob = photo instanceof Blob ? photo : new Blob([photo]);
     const fields = { ...options, title, visibility };
@@ -306,7 +306,7 @@ export class Tmpi {
     return Promise.race([promise, end]).finally(() => patience.end());
   }
 
-  /** @param {string} id @param {import('./rest.js').WaitOptions} [options] */
+  /** @param {string} id @param {import('./rest-client.js').WaitOptions} [options] */
   async wait(id, { limit = 600_000, signal, onEvent } = {}) {
     const late = AbortSignal.timeout(limit);
     const both = signal ? AbortSignal.any([signal, late]) : late;
@@ -395,13 +395,13 @@ export class Tmpi {
     await this.ask(this.photo(id), { method: 'DELETE' }, async () => undefined);
   }
 
-  /** @param {string} id @param {import('./rest.js').AtlasQuery} [query] @param {string} [etag] */
+  /** @param {string} id @param {import('./rest-client.js').AtlasQuery} [query] @param {string} [etag] */
   async atlas(id, { sections, region, ...query } = {}, etag) {
     const all = { ...query, sections: sections?.join(','), region: region?.join(',') };
     return this.file(this.photo(id, '/atlas'), { query: all, headers: etag ? { 'if-none-match': etag } : {} });
   }
 
-  /** @param {string} id @param {import('./rest.js').ViewQuery} [query] */
+  /** @param {string} id @param {import('./rest-client.js').ViewQuery} [query] */
   async view(id, { crop, ...query } = {}) {
     return this.file(this.photo(id, '/view'), { query: { ...query, crop: crop?.join(',') } });
   }
@@ -421,7 +421,7 @@ export class Tmpi {
     return this.file(this.photo(id, '/depth'));
   }
 
-  /** @param {import('./rest.js').PhotoState} state @param {import('./rest.js').PhotoLink} [link] */
+  /** @param {import('./rest-client.js').PhotoState} state @param {import('./rest-client.js').PhotoLink} [link] */
   embed(state, link) {
     const address = `${this.address(state.links.embed)}${link?.query ? `?${link.query}` : ''}`;
     return `<iframe src="${quoted(address)}" title="${quoted(state.settings.title ?? '3D photo')}" allow="fullscreen"></iframe>`;

@@ -3,7 +3,7 @@
 //! A path costs its length in radii and, more, the edges that it crosses. Both sides therefore meet at the strongest edge between them
 //! and, without an edge, midway, at the brush's own radius (geodesic segmentation: Bai and Sapiro, ICCV 2007; Criminisi, Sharp and Blake,
 //! ECCV 2008). Regions that grow from a stroke without a bound on the other side, as by a random walker, leak through weak edges; between
-//! two radii they cannot. `static/app/outline.js` shows the same outline while it is drawn.
+//! two radii they cannot. `static/app/stroke-region.js` shows the same outline while it is drawn.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -7,7 +7,6 @@ use tmpi_core::live::{MAX_PLANES, TileState, chunk};
 use super::arbitrary::{Script, geometry};
 
 /// Builds a room: its hello, and messages of chunks. They are valid except for the changes that the last bytes of `data` make.
-#[must_use]
 pub fn build(data: &[u8]) -> (Hello, Vec<schema::Geometry>) {
     let mut script = Script(data);
     let mut geometry = geometry(&mut script, MAX_PLANES as u32 + 1);
@@ -34,19 +33,16 @@ pub fn build(data: &[u8]) -> (Hello, Vec<schema::Geometry>) {
 
 /// Changes a field of the hello or of a chunk, or some of its bytes.
 fn change_message(script: &mut Script, hello: &mut Hello, message: &mut schema::Geometry) {
-    let number = |script: &mut Script, field: &mut u32| *field = script.number(u64::from(*field)) as u32;
     if script.below(16) == 1 {
         let Hello { width, height, tile_size, tile_stride, .. } = hello;
-        let at = script.below(4) as usize;
-        return [width, height, tile_size, tile_stride].into_iter().skip(at).take(1).for_each(|f| number(script, f));
+        return script.change(&mut [width, height, tile_size, tile_stride]);
     }
     let at = script.word() as usize % message.chunks.len().max(1);
     let Some(chunk) = message.chunks.get_mut(at) else { return };
     match script.below(4) {
         0 => {
             let schema::Chunk { column, row, columns, rows, planes, .. } = chunk;
-            let at = script.below(5) as usize;
-            [column, row, columns, rows, planes].into_iter().skip(at).take(1).for_each(|f| number(script, f));
+            script.change(&mut [column, row, columns, rows, planes]);
         }
         1 => chunk.version = script.number(chunk.version),
         what => {
@@ -70,7 +66,6 @@ fn set_check(chunk: &mut schema::Chunk) {
 }
 
 /// Corrects the checksums of a message's chunks; `None` if it has no chunks.
-#[must_use]
 pub fn with_checksums(data: &[u8]) -> Option<Vec<u8>> {
     let mut kind = tmpi_core::live::read(data.to_vec().into()).ok()?;
     let (Kind::Geometry(message) | Kind::Snapshot(message)) = &mut kind else { return None };

@@ -39,6 +39,12 @@ impl Script<'_> {
         }
     }
 
+    /// Replaces one of the fields.
+    pub fn change(&mut self, fields: &mut [&mut u32]) {
+        let at = self.below(fields.len() as u32) as usize;
+        *fields[at] = self.number((*fields[at]).into()) as u32;
+    }
+
     /// Like [`Self::number`], for a length or a position on an axis.
     pub fn real(&mut self, old: f64) -> f64 {
         match self.below(8) {

@@ -1,0 +1,65 @@
+//! Errors of measurements.
+
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+
+use tmpi_core::container::ContainerError;
+use tmpi_core::live::LiveError;
+use tmpi_live::GeometryError;
+use tmpi_live::video::VideoError;
+use tmpi_pipeline::MakeError;
+use tmpi_pipeline::depth::DepthError;
+use tmpi_pipeline::networks::OnnxError;
+use tmpi_render::RenderError;
+
+/// Why a measurement failed.
+#[derive(Debug, thiserror::Error)]
+pub enum LabError {
+    /// A scene or a photo cannot be made.
+    #[error("cannot make {subject}")]
+    Make {
+        /// Name of the scene or photo.
+        subject: String,
+        /// The reason.
+        source: MakeError,
+    },
+    /// A file or a folder cannot be used.
+    #[error("{path}: {reason}")]
+    File {
+        /// The path.
+        path: PathBuf,
+        /// The reason.
+        reason: String,
+    },
+    /// A frame cannot be encoded.
+    #[error("cannot encode a frame: {0}")]
+    Encode(String),
+    /// A frame cannot be decoded.
+    #[error(transparent)]
+    Video(#[from] VideoError),
+    /// The geometry of a frame cannot be computed.
+    #[error(transparent)]
+    Geometry(#[from] GeometryError),
+    /// A reader cannot decode a message.
+    #[error(transparent)]
+    Live(#[from] LiveError),
+    /// A view cannot be drawn.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// A container cannot be read.
+    #[error(transparent)]
+    Container(#[from] ContainerError),
+    /// A depth map cannot be estimated or written.
+    #[error(transparent)]
+    Depth(#[from] DepthError),
+    /// A network fails.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
+}
+
+impl LabError {
+    /// A file or a folder that cannot be used.
+    pub(crate) fn file(path: &Path, reason: impl Display) -> Self {
+        Self::File { path: path.into(), reason: reason.to_string() }
+    }
+}
