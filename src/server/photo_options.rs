@@ -71,42 +71,35 @@ pub fn view_box_of(text: &BTreeMap<String, String>) -> ViewBox {
 #[must_use]
 pub fn to_text(options: &Options) -> BTreeMap<String, String> {
     let o = options;
-    let mut all = BTreeMap::new();
-    let mut put = |name: &str, value: String| all.insert(name.to_owned(), value);
-    put("denoise", value_name(&o.denoise));
-    put("depth-kind", value_name(&o.depth_kind));
-    put("max-error", o.max_error.to_string());
-    put("photo-depth", value_name(&o.photo_depth));
-    put("plane-method", value_name(&o.plane_method));
-    put(
-        "planes",
-        match o.planes {
-            PlaneCount::Auto => "auto".into(),
-            PlaneCount::Fixed(n) => n.to_string(),
-        },
-    );
-    put("quality", o.quality.to_string());
-    put("refine", value_name(&o.refine));
-    put("snap", value_name(&o.snap));
-    put("stereo", value_name(&o.stereo));
-    put(
-        "tile",
-        match o.tile {
-            TileSize::Full => "full".into(),
-            TileSize::Pixels(n) => n.to_string(),
-        },
-    );
-    put("view-box", format!("{},{},{}", o.view_box.x, o.view_box.y, o.view_box.z));
-    if let Some(v) = o.fov_x {
-        put("fov-x", v.to_string());
-    }
-    if let Some(v) = o.budget_ms {
-        put("budget-ms", v.to_string());
-    }
-    if let Some(v) = o.max_size {
-        put("max-size", v.to_string());
-    }
-    all
+    let planes = match o.planes {
+        PlaneCount::Auto => "auto".into(),
+        PlaneCount::Fixed(n) => n.to_string(),
+    };
+    let tile = match o.tile {
+        TileSize::Full => "full".into(),
+        TileSize::Pixels(n) => n.to_string(),
+    };
+    let all = [
+        ("denoise", value_name(&o.denoise)),
+        ("depth-kind", value_name(&o.depth_kind)),
+        ("max-error", o.max_error.to_string()),
+        ("photo-depth", value_name(&o.photo_depth)),
+        ("plane-method", value_name(&o.plane_method)),
+        ("planes", planes),
+        ("quality", o.quality.to_string()),
+        ("refine", value_name(&o.refine)),
+        ("snap", value_name(&o.snap)),
+        ("stereo", value_name(&o.stereo)),
+        ("tile", tile),
+        ("view-box", format!("{},{},{}", o.view_box.x, o.view_box.y, o.view_box.z)),
+    ];
+    let given = [
+        ("fov-x", o.fov_x.map(|v| v.to_string())),
+        ("budget-ms", o.budget_ms.map(|v| v.to_string())),
+        ("max-size", o.max_size.map(|v| v.to_string())),
+    ];
+    let given = given.into_iter().filter_map(|(name, value)| Some((name, value?)));
+    all.into_iter().chain(given).map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
 /// The canonical text of [`to_text`] as one string, for hashing.

@@ -62,13 +62,6 @@ pub fn problem(error: &(dyn Error + 'static)) -> Problem {
     }
 }
 
-/// Whether a `Content-Type` is `media_type`, whatever its parameters.
-#[must_use]
-pub fn is_media_type(content_type: &HeaderValue, media_type: &str) -> bool {
-    let kind = content_type.to_str().ok().and_then(|text| text.split(';').next());
-    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(media_type))
-}
-
 /// Reads a body of at most `most` bytes.
 ///
 /// # Errors
@@ -87,6 +80,27 @@ pub async fn read(body: Body, most: usize) -> Result<Bytes, Problem> {
 /// 400.
 pub fn json_object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
     serde_json::from_slice(body).map_err(|e| Problem::bad_request(format!("the body must be a JSON object: {e}")))
+}
+
+/// Parameters in a JSON object: text and numbers as text, without those that are null.
+///
+/// # Errors
+/// 400, also if one is neither text nor a number.
+pub fn json_parameters(body: &[u8]) -> Result<Vec<(String, String)>, Problem> {
+    let text_of = |(name, value): (String, Value)| match value {
+        Value::Null => None,
+        Value::String(text) => Some(Ok((name, text))),
+        Value::Number(number) => Some(Ok((name, number.to_string()))),
+        _ => Some(Err(Problem::parameter(name, "must be text or a number"))),
+    };
+    json_object(body)?.into_iter().filter_map(text_of).collect()
+}
+
+/// The media type in a `Content-Type` in lower case, without its parameters; empty if there is none.
+#[must_use]
+pub fn media_type(content_type: Option<&HeaderValue>) -> String {
+    let text = content_type.and_then(|value| value.to_str().ok()).unwrap_or_default();
+    text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
 }
 
 /// The unread rest of a body.

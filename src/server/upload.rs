@@ -14,7 +14,7 @@ use super::maker::HeadOf;
 use super::multipart_header_limit::LimitedHeaders;
 use super::photo_options;
 use super::problem::Problem;
-use super::request_body::{self, is_media_type};
+use super::request_body::{self, media_type};
 use super::upload_fields::{UploadFields, check_name, of_query};
 use super::upload_file::{ReceivedFile, receive};
 use super::viewer_settings::{Settings, title_of_file};
@@ -63,7 +63,7 @@ pub async fn upload(app: &App, query: &[(String, String)], request: Request, own
     let _slot = take_slot(app).await?;
     let mut parts = UploadParts { photo: None, depth: None, fields };
     // a body of another type is the photo itself
-    if request.headers().get(header::CONTENT_TYPE).is_some_and(|kind| is_media_type(kind, "multipart/form-data")) {
+    if media_type(request.headers().get(header::CONTENT_TYPE)) == "multipart/form-data" {
         read_multipart(app, &mut parts, request).await?;
     } else {
         let stream = request.into_body().into_data_stream();

@@ -7,14 +7,13 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, StatusCode, header};
 use percent_encoding::percent_decode_str;
 use reqwest::Url;
-use serde_json::Value;
 
 use super::app_state::App;
 use super::fetch_by_url::{SourceError, Validators};
 use super::maker::HeadOf;
 use super::photo_options;
 use super::problem::Problem;
-use super::request_body::{self, CutOff, LimitedBody, is_media_type};
+use super::request_body::{self, CutOff, LimitedBody, media_type};
 use super::time_limit::TimeLimit;
 use super::upload::{self, UploadParts};
 use super::upload_fields::{UploadFields, check_name, of_query};
@@ -47,7 +46,7 @@ pub struct SourceOrder {
 #[must_use]
 pub fn is_address(headers: &HeaderMap) -> bool {
     let mut kinds = headers.get_all(header::CONTENT_TYPE).iter().peekable();
-    kinds.peek().is_some() && kinds.all(|kind| is_media_type(kind, "application/json"))
+    kinds.peek().is_some() && kinds.all(|kind| media_type(Some(kind)) == "application/json")
 }
 
 /// Fetches a photo for `owner`, if there are owners, and has it accepted; when this returns, it is on disk.
@@ -101,15 +100,9 @@ pub async fn fetch_upload(
 
 /// Reads the object: the addresses of the photo and its depth map, and into `fields` options as a form has them.
 async fn read(app: &App, fields: &mut UploadFields, request: Request) -> Result<(Url, Option<Url>), Problem> {
-    let object = request_body::json_object(&request_body::read(request.into_body(), MOST).await?)?;
+    let parameters = request_body::json_parameters(&request_body::read(request.into_body(), MOST).await?)?;
     let (mut source, mut depth) = (None, None);
-    for (name, value) in object {
-        let text = match value {
-            Value::Null => continue,
-            Value::String(text) => text,
-            Value::Number(number) => number.to_string(),
-            _ => return Err(Problem::parameter(name, "must be text or a number")),
-        };
+    for (name, text) in parameters {
         match name.as_str() {
             SOURCE => source = Some(app.sources.address(&text).map_err(|e| problem(SOURCE, &e))?),
             DEPTH => depth = Some(app.sources.address(&text).map_err(|e| problem(DEPTH, &e))?),

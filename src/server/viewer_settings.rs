@@ -29,43 +29,19 @@ const PIVOT: f64 = 0.35;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Offset {
     /// Right.
+    #[schema(minimum = -1.0, maximum = 1.0)]
     pub x: f64,
     /// Down.
+    #[schema(minimum = -1.0, maximum = 1.0)]
     pub y: f64,
     /// Forward.
+    #[schema(minimum = -1.0, maximum = 1.0)]
     pub z: f64,
 }
 
-/// The idle motion of a photo.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-pub struct Idle(String);
-
-impl Idle {
-    /// Name of no motion.
-    const NONE: &'static str = "none";
-
-    /// All names.
-    pub fn names() -> impl Iterator<Item = &'static str> {
-        Path::NAMES.into_iter().chain([Self::NONE])
-    }
-}
-
-impl TryFrom<String> for Idle {
-    type Error = String;
-
-    fn try_from(name: String) -> Result<Self, String> {
-        if Self::names().any(|known| known == name) {
-            return Ok(Self(name));
-        }
-        Err(format!("must be one of {}, not {name:?}", Self::names().collect::<Vec<_>>().join(", ")))
-    }
-}
-
-impl From<Idle> for String {
-    fn from(Idle(name): Idle) -> Self {
-        name
-    }
+/// Names of all idle motions.
+pub fn idle_names() -> impl Iterator<Item = &'static str> {
+    Path::NAMES.into_iter().chain(["none"])
 }
 
 /// Who may see a photo, with private access.
@@ -86,22 +62,29 @@ pub struct Settings {
     pub version: u32,
     /// Title of the photo, 1 to 200 characters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(
+        min_length = 1,
+        max_length = 200,
+        pattern = r"^[^\u0000-\u001f\u007f-\u009f]*[^\s\u0000-\u001f\u007f-\u009f][^\u0000-\u001f\u007f-\u009f]*$"
+    )]
     pub title: Option<String>,
     /// Range of the camera, each 0 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Offset>,
     /// Disparity that stays in place while the camera moves, 0 (infinity) to 1 (the nearest thing).
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0, maximum = 1)]
     pub focus: Option<f64>,
     /// Start position of the camera, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Offset>,
     /// Idle motion; `none` for no motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, example = "orbit")]
-    pub idle: Option<Idle>,
+    #[schema(example = "orbit")]
+    pub idle: Option<String>,
     /// Speed of the idle motion, 0.25 to 4 times the default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.25, maximum = 4.0)]
     pub speed: Option<f64>,
     /// Who may see the photo, with private access: `private` (default), only its owner, or `link`, anyone with its address.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -164,7 +147,7 @@ impl Settings {
                 "version" => return Err(Problem::parameter(name, format!("must be {VERSION}, not {value}"))),
                 "title" => new.title = optional(&value, |v| title(&name, v))?,
                 "motion" => new.motion = optional(&value, |v| offset(&name, v, self.motion, 1.0, 0.0))?,
-                "focus" => new.focus = optional(&value, |v| number(&name, v, 0.0))?,
+                "focus" => new.focus = optional(&value, |v| within(&name, v, [0.0, 1.0]))?,
                 "start" => new.start = optional(&value, |v| offset(&name, v, self.start, 0.0, -1.0))?,
                 "idle" => new.idle = optional(&value, |v| idle(&name, v))?,
                 "speed" => new.speed = optional(&value, |v| within(&name, v, SPEED))?,
@@ -259,14 +242,9 @@ fn visibility(name: &str, value: &Value) -> Result<Visibility, Problem> {
     }
 }
 
-fn idle(name: &str, value: &Value) -> Result<Idle, Problem> {
-    let text = value.as_str().ok_or_else(|| format!("must be text, not {value}"));
-    text.and_then(|text| Idle::try_from(text.to_owned())).map_err(|detail| Problem::parameter(name, detail))
-}
-
-/// A number from `least` to 1.
-fn number(name: &str, value: &Value, least: f64) -> Result<f64, Problem> {
-    within(name, value, [least, 1.0])
+fn idle(name: &str, value: &Value) -> Result<String, Problem> {
+    let wrong = || Problem::parameter(name, format!("must be one of {}, not {value}", idle_names().collect::<Vec<_>>().join(", ")));
+    idle_names().find(|known| value == known).map(str::to_owned).ok_or_else(wrong)
 }
 
 fn within(name: &str, value: &Value, [least, most]: [f64; 2]) -> Result<f64, Problem> {
@@ -287,7 +265,7 @@ fn offset(name: &str, value: &Value, old: Option<Offset>, usual: f64, least: f64
             "z" => &mut new.z,
             _ => return Err(Problem::parameter(field, "there is no such axis; there are x, y, z")),
         };
-        *place = if value.is_null() { usual } else { number(&field, value, least)? };
+        *place = if value.is_null() { usual } else { within(&field, value, [least, 1.0])? };
     }
     Ok(new)
 }
@@ -311,7 +289,7 @@ mod tests {
     fn idle_motions_have_the_names_of_film_paths() {
         for name in Path::NAMES.into_iter().chain(["none"]) {
             let one = Settings::default().patched(format!(r#"{{"idle": "{name}", "speed": 4}}"#).as_bytes()).unwrap();
-            assert_eq!((String::from(one.idle.clone().unwrap()).as_str(), one.speed), (name, Some(4.0)));
+            assert_eq!((one.idle.as_deref(), one.speed), (Some(name), Some(4.0)));
             assert_eq!(serde_json::from_slice::<Settings>(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
             assert_eq!(one.patched(br#"{"idle": null, "speed": null}"#).unwrap(), Settings::default());
         }

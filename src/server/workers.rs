@@ -20,7 +20,6 @@ use super::maker::{Fault, Product};
 use super::memory_budget::Priority;
 use super::photo_options;
 use super::problem::Problem;
-use super::routes::Stage;
 use super::traces::JobSpan;
 use tmpi_pipeline::{Options, Progress, Sink};
 
@@ -203,7 +202,7 @@ async fn tell_again(lease: &Lease, doing: &Doing, said: &serde_json::Value) {
 
 /// Publishes progress.
 async fn tell(lease: &Lease, doing: &Doing, progress: &Progress) -> Option<serde_json::Value> {
-    let said = serde_json::to_value(Stage::from(progress)).ok()?;
+    let said = serde_json::to_value(progress).ok()?;
     tell_again(lease, doing, &said).await;
     Some(said)
 }

@@ -29,7 +29,8 @@ struct ServerSink;
 
 impl Sink for ServerSink {
     fn progress(&self, message: &Progress) {
-        tell(&Answer::Progress(Stage::from(message)), &[]);
+        let &Progress { stage, step, steps, elapsed_ms } = message;
+        tell(&Answer::Progress(Stage { stage: stage.to_owned(), step, steps, elapsed_ms }), &[]);
     }
 }
 

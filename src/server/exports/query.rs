@@ -1,10 +1,8 @@
 //! Query parameters of an export.
 
 use axum::http::Uri;
-use clap::ValueEnum;
 
 use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures};
-use crate::server::photo_options::value_name;
 use crate::server::problem::Problem;
 use crate::server::routes::Pairs;
 
@@ -41,16 +39,13 @@ impl ExportQuery {
     /// # Errors
     /// 400 that names the first parameter that is wrong.
     pub fn of(mut pairs: Pairs) -> Result<Self, Problem> {
-        let format = pairs.get("format").map_or(Ok(ExportFormat::default()), |value| {
-            let known = ExportFormat::from_extension(value);
-            known.ok_or_else(|| Problem::parameter("format", format!("must be html, glb, ora or zip, not {value:?}")))
-        })?;
+        let format = pairs.parse("format", "html, glb, ora or zip", ExportFormat::from_extension)?.unwrap_or_default();
         for name in ["shape", "textures"] {
             if format != ExportFormat::Glb && pairs.get(name).is_some() {
                 return Err(Problem::parameter(name, "requires format=glb"));
             }
         }
-        let (shape, textures) = (choice(&pairs, "shape")?, choice(&pairs, "textures")?);
+        let (shape, textures) = (pairs.choice("shape")?.unwrap_or_default(), pairs.choice("textures")?.unwrap_or_default());
         Ok(Self { format, shape, textures, version: pairs.take("v") })
     }
 
@@ -59,15 +54,6 @@ impl ExportQuery {
     pub const fn model(&self) -> ModelOptions {
         ModelOptions { shape: self.shape, textures: self.textures }
     }
-}
-
-/// The named value of a parameter, or the default.
-fn choice<T: ValueEnum + Default>(pairs: &Pairs, name: &str) -> Result<T, Problem> {
-    let Some(value) = pairs.get(name) else { return Ok(T::default()) };
-    T::from_str(value, false).map_err(|_| {
-        let all: Vec<String> = T::value_variants().iter().map(value_name).collect();
-        Problem::parameter(name, format!("must be {}, not {value:?}", all.join(" or ")))
-    })
 }
 
 #[cfg(test)]

@@ -22,10 +22,6 @@ const PAGE: u64 = 4;
 /// Most bytes of scene work in the server's process: about a megapixel, which takes tenths of a second.
 const CHEAP: u64 = 16 << 20;
 
-/// Parameters of a film.
-const FILM: [&str; 17] =
-    ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "crop", "format", "stereo", "quilt", "ipd", "focus", "path", "frames"];
-
 /// How to make a file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Recipe {
@@ -47,7 +43,7 @@ impl Recipe {
     /// 400 that names the first parameter that is unknown, given twice, wrong or over the limits.
     pub fn read(pairs: Vec<(String, String)>, size: (u32, u32), limits: &Limits) -> Result<Self, Problem> {
         if pairs.iter().any(|(name, _)| name == "path") {
-            let query = ViewQuery::of(Pairs::of(pairs, &FILM)?, limits)?;
+            let query = ViewQuery::of_film(pairs, limits)?;
             let size = query.size(size, limits)?;
             return Ok(Self::Film(Box::new(query), size));
         }

@@ -14,7 +14,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::query::NoQuery;
-use super::{foreign, no_method, openapi_errors, system};
+use super::{foreign, no_method, openapi_shared, system};
 use crate::server::app_state::App;
 use crate::server::hosts::Hosts;
 use crate::server::middleware;
@@ -40,7 +40,6 @@ struct Document;
     post, path = "/drain", tag = "system",
     responses(
         (status = 202, description = "The server is shutting down"),
-        (status = 400, description = "The route takes no parameters"),
         (status = 403, description = "The request comes from a page of another site"),
     )
 )]
@@ -55,7 +54,6 @@ async fn drain(State(app): State<App>, _: NoQuery) -> StatusCode {
     post, path = "/purge/{id}", tag = "system", params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 204, description = "Deleted"),
-        (status = 400, description = "The route takes no parameters"),
         (status = 403, description = "The request comes from a page of another site"),
         (status = 404, description = "There is no such photo"),
         (status = 503, description = "The library cannot be reached"),
@@ -87,7 +85,7 @@ fn api() -> OpenApiRouter<App> {
 pub fn router(app: App, addr: SocketAddr, names: &[String]) -> Router {
     let (router, document) = api().split_for_parts();
     let mut document = serde_json::json!(document);
-    openapi_errors::add_errors(&mut document);
+    openapi_shared::add_shared(&mut document);
     let state = (App::clone(&app), Arc::new(Hosts::new(addr, names)));
     router
         .route("/openapi.json", axum::routing::get(async move || axum::Json(document)))

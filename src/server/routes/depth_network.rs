@@ -60,7 +60,6 @@ fn own(app: &AppState, headers: &HeaderMap) -> Result<(), Problem> {
     get, path = "/v1/network", tag = "system",
     responses(
         (status = 200, description = "The network, and a better one if available", body = Network),
-        (status = 400, description = "The route takes no parameters"),
         (status = 403, description = "The caller is not this machine's own user"),
     )
 )]
@@ -78,7 +77,6 @@ pub async fn network(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     responses(
         (status = 200, description = "There is nothing to download", body = Network),
         (status = 202, description = "The download is running", body = Network),
-        (status = 400, description = "The route takes neither parameters nor a body"),
         (status = 403, description = "The caller is not this machine's own user"),
     )
 )]

@@ -4,17 +4,18 @@ use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures_util::{StreamExt as _, stream};
 use serde::Serialize;
+use serde_json::json;
 use tmpi_library::{Event as Happened, Photo, PhotoId, PhotoState as Phase, Subscription};
 use tokio::time::Instant;
 
 use super::photo_state::{PhotoState, Progress};
-use super::query::NoQuery;
+use super::query::{Found, NoQuery};
 use crate::server::access::{self, Admission};
 use crate::server::app_state::App;
 use crate::server::client_slots::{ClientSlot, client_address};
@@ -23,12 +24,6 @@ use crate::server::problem::Problem;
 
 /// Interval of the checks of the queue and of the client's access.
 const QUEUE_LOOK: Duration = Duration::from_secs(1);
-
-/// Where a photo stands in the queue.
-#[derive(Serialize)]
-struct Position {
-    position: u64,
-}
 
 /// One open event stream.
 struct Listener {
@@ -63,7 +58,7 @@ impl Listener {
                 }
                 PhotoUpdate::Stage(_) => return None,
                 PhotoUpdate::Photo => self.fresh().await?,
-                PhotoUpdate::Deleted => self.end("deleted", &serde_json::json!({})),
+                PhotoUpdate::Deleted => self.end("deleted", &json!({})),
             };
             if !events.is_empty() {
                 return Some(events);
@@ -101,14 +96,14 @@ impl Listener {
 
     /// Events for the photo's current state; `None` if the client has lost access.
     async fn fresh(&mut self) -> Option<Vec<Event>> {
-        let Some(photo) = self.app.library.find(self.id).await.ok()? else { return Some(self.end("deleted", &serde_json::json!({}))) };
+        let Some(photo) = self.app.library.find(self.id).await.ok()? else { return Some(self.end("deleted", &json!({}))) };
         if !self.is_allowed(Some(&photo)).await {
             return None;
         }
         if photo.state == Phase::Queued {
             let position = self.app.library.position(self.id).await.ok()?.unwrap_or_default();
             let moved = self.queued.replace(position) != Some(position);
-            return Some(if moved { vec![event("queued", &Position { position })] } else { Vec::new() });
+            return Some(if moved { vec![event("queued", &json!({"position": position}))] } else { Vec::new() });
         }
         self.queued = None;
         if photo.state == Phase::Working {
@@ -176,16 +171,13 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
 /// `failed` or `damaged` (a `Problem`) or `deleted`; then the stream ends. A client that connects late gets the last stage first. The
 /// stream also ends when the client loses access.
 #[utoipa::path(
-    get, path = "/v1/photos/{id}/events", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    get, path = "/v1/photos/{id}/events", tag = "photos",
     responses(
         (status = 200, description = "Events until the photo is done, has failed or is deleted", body = Progress, content_type = "text/event-stream"),
-        (status = 400, description = "The route takes no parameters"),
-        (status = 404, description = "There is no such photo"),
         (status = 503, description = "Too many streams are open"),
     )
 )]
-pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
+pub async fn events(State(app): State<App>, _: NoQuery, Found(photo): Found) -> Result<Response, Problem> {
     let Some(place) = app.streams.take(client_address()) else {
         let detail = "too many event streams are open, in all or from your address";
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(5));

@@ -1,10 +1,11 @@
 //! Exports of a photo that other programs can open.
 
-use axum::extract::{Extension, Path, State};
+use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::Response;
 
 use super::derived_answer::Derived;
+use super::query::Found;
 use crate::server::app_state::{App, AppState, Export};
 use crate::server::conditional::insert;
 use crate::server::content_disposition::content_disposition;
@@ -20,7 +21,7 @@ use crate::server::time_limit::TimeLimit;
 #[utoipa::path(
     get, path = "/v1/photos/{id}/export", tag = "photos",
     params(
-        ("id" = String, Path, description = "Id of the photo"), ExportQuery,
+        ExportQuery,
         ("Range" = Option<String>, Header, description = "One range of bytes"),
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
     ),
@@ -32,7 +33,6 @@ use crate::server::time_limit::TimeLimit;
             (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it"),
-        (status = 404, description = "There is no such photo"),
         (status = 409, description = "Not finished yet"),
         (status = 416, description = "There are no such bytes"),
         (status = 503, description = "Too much waits"),
@@ -41,11 +41,10 @@ use crate::server::time_limit::TimeLimit;
 pub async fn export(
     State(app): State<App>,
     Extension(clock): Extension<TimeLimit>,
-    Path(id): Path<String>,
+    Found(photo): Found,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
     let query = ExportQuery::read(&uri)?;
     let (format, model, asked) = (query.format, query.model(), query.version);
     let (version, done) = AppState::finished(&photo)?;

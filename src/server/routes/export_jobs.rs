@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 
 use axum::Json;
-use axum::extract::{Path, Request, State};
+use axum::extract::{FromRequestParts, Path, Request, State};
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, LOCATION, RETRY_AFTER};
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-use super::query::NoQuery;
+use super::query::{Found, NoQuery, decode};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
@@ -134,28 +135,13 @@ impl ExportState {
 
 /// The parameters of a request, from its query and its body (a form or a JSON object).
 async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> {
-    let decoded = |text: &[u8]| form_urlencoded::parse(text).into_owned().collect::<Vec<_>>();
-    let mut pairs = decoded(request.uri().query().unwrap_or_default().as_bytes());
+    let mut pairs = decode(request.uri())?;
     let (parts, body) = request.into_parts();
-    let kind = parts.headers.get(CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
-    let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
     let body = request_body::read(body, MOST).await?;
-    match kind.as_str() {
+    match request_body::media_type(parts.headers.get(CONTENT_TYPE)).as_str() {
         _ if body.is_empty() => {}
-        "application/x-www-form-urlencoded" => pairs.extend(decoded(&body)),
-        "application/json" => {
-            let object: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(&body)
-                .map_err(|e| Problem::bad_request(format!("the body must be an object of parameters: {e}")))?;
-            for (name, value) in object {
-                let text = match value {
-                    serde_json::Value::Null => continue,
-                    serde_json::Value::String(text) => text,
-                    serde_json::Value::Number(number) => number.to_string(),
-                    _ => return Err(Problem::parameter(name, "must be text or a number")),
-                };
-                pairs.push((name, text));
-            }
-        }
+        "application/x-www-form-urlencoded" => pairs.extend(form_urlencoded::parse(&body).into_owned()),
+        "application/json" => pairs.extend(request_body::json_parameters(&body)?),
         _ => {
             let detail = "parameters are application/json, application/x-www-form-urlencoded or a query";
             return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-parameters", detail).field("Content-Type"));
@@ -170,7 +156,7 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
 /// for the same version of a photo give the same address, and the file is written once; ordering a failed file again retries. The server
 /// keeps a file until no client has fetched it for a while, other files need the space, or the photo is deleted or made again.
 #[utoipa::path(
-    post, path = "/v1/photos/{id}/exports", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    post, path = "/v1/photos/{id}/exports", tag = "photos",
     request_body(description = "The parameters; the query may hold them, too", content(
         (ExportOrder = "application/json"), (ExportOrder = "application/x-www-form-urlencoded"))),
     responses(
@@ -178,15 +164,13 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
         (status = 202, description = "It waits, or is being written", body = ExportState, headers(
             ("Location" = String, description = "Address of the file's state"), ("Retry-After" = u64, description = "Seconds"))),
         (status = 400, description = "A parameter is wrong; `field` names it"),
-        (status = 404, description = "There is no such photo"),
         (status = 409, description = "The photo is not finished yet"),
         (status = 413, description = "The parameters are too large"),
         (status = 415, description = "Neither a form nor JSON"),
         (status = 503, description = "Too much waits; `Retry-After` says when to come back"),
     )
 )]
-pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
+pub async fn order(State(app): State<App>, Found(photo): Found, request: Request) -> Result<Response, Problem> {
     let pairs = parameters(request).await?;
     let (_, done) = AppState::finished(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
@@ -213,17 +197,29 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
     }
 }
 
-/// The job of an ordered file, if it belongs to the photo's current version.
-async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
-    let none = || Problem::not_found("the photo has no such file: it was not ordered, or was deleted; order it again");
-    let (_, done) = AppState::finished(photo).map_err(|_| none())?;
-    let job = match app.library.job(JobKind::Export, photo.id, Some(key)).await {
-        Err(LibraryError::NotFound(_)) => return Err(none()),
-        job => job?,
-    };
-    // files of an older version of the photo or of the program expire on their own
-    let is_current = job.version == photo.version && key_of(app, &done, recipe_of(&job)) == key;
-    if is_current { Ok(job) } else { Err(none()) }
+/// Extractor of the ordered file in the path, if it belongs to the photo's current version.
+pub struct OrderedFile {
+    photo: Photo,
+    key: String,
+    job: Job,
+}
+
+impl FromRequestParts<App> for OrderedFile {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Problem> {
+        let Found(photo) = Found::from_request_parts(parts, app).await?;
+        let none = || Problem::not_found("the photo has no such file: it was not ordered, or was deleted; order it again");
+        let Path((_, key)) = Path::<(String, String)>::from_request_parts(parts, app).await.map_err(|_| none())?;
+        let (_, done) = AppState::finished(&photo).map_err(|_| none())?;
+        let job = match app.library.job(JobKind::Export, photo.id, Some(&key)).await {
+            Err(LibraryError::NotFound(_)) => return Err(none()),
+            job => job?,
+        };
+        // files of an older version of the photo or of the program expire on their own
+        let is_current = job.version == photo.version && key_of(app, &done, recipe_of(&job)) == key;
+        if is_current { Ok(Self { photo, key, job }) } else { Err(none()) }
+    }
 }
 
 /// The name of the file of a recipe.
@@ -238,7 +234,6 @@ fn recipe_of(job: &Job) -> &str {
 /// State of an export file.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/exports/{key}", tag = "photos", operation_id = "export_state",
-    params(("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file")),
     responses(
         (status = 200, description = "It is written, or could not be", body = ExportState),
         (status = 202, description = "It waits, or is being written", body = ExportState,
@@ -246,17 +241,14 @@ fn recipe_of(job: &Job) -> &str {
         (status = 404, description = "There is no such file"),
     )
 )]
-pub async fn state(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
-    let file = find(&app, &photo, &key).await?;
-    Ok(ExportState::of(&app, &file).answer(StatusCode::OK))
+pub async fn state(State(app): State<App>, _: NoQuery, file: OrderedFile) -> Response {
+    ExportState::of(&app, &file.job).answer(StatusCode::OK)
 }
 
 /// The bytes of a written file.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/exports/{key}/file", tag = "photos",
     params(
-        ("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file"),
         ("Range" = Option<String>, Header, description = "One range of bytes"),
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
     ),
@@ -274,14 +266,8 @@ pub async fn state(State(app): State<App>, Path((id, key)): Path<(String, String
         (status = 416, description = "There are no such bytes"),
     )
 )]
-pub async fn file(
-    State(app): State<App>,
-    Path((id, key)): Path<(String, String)>,
-    _: NoQuery,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
-    let job = find(&app, &photo, &key).await?;
+pub async fn file(State(app): State<App>, _: NoQuery, file: OrderedFile, headers: HeaderMap) -> Result<Response, Problem> {
+    let OrderedFile { photo, key, job } = file;
     let blob = match (&job.result, &job.problem) {
         (Some(blob), _) => blob,
         (None, Some(problem)) if job.state == JobState::Failed => return Err(Problem::of_library(problem)),
@@ -310,15 +296,12 @@ pub async fn file(
 /// Cancel the writing of an export file, or delete it.
 #[utoipa::path(
     delete, path = "/v1/photos/{id}/exports/{key}", tag = "photos", operation_id = "export_cancel",
-    params(("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file")),
     responses(
         (status = 204, description = "Cancelled or deleted"),
         (status = 404, description = "There is no such file"),
     )
 )]
-pub async fn cancel(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<StatusCode, Problem> {
-    let photo = app.photo(&id).await?;
-    find(&app, &photo, &key).await?;
-    app.library.cancel_export(photo.id, &key).await?;
+pub async fn cancel(State(app): State<App>, _: NoQuery, file: OrderedFile) -> Result<StatusCode, Problem> {
+    app.library.cancel_export(file.photo.id, &file.key).await?;
     Ok(StatusCode::NO_CONTENT)
 }

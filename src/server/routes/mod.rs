@@ -7,7 +7,7 @@ mod events;
 mod export;
 mod export_jobs;
 mod oembed;
-mod openapi_errors;
+mod openapi_shared;
 mod openapi_values;
 mod owner_tickets;
 mod photo_state;
@@ -179,7 +179,7 @@ pub fn openapi_of(limits: &Limits, has_admin: bool) -> serde_json::Result<Bytes>
     document.merge(live::routes::publishing_api().into_openapi());
     let mut document = serde_json::to_value(document)?;
     openapi_values::add_values(&mut document);
-    openapi_errors::add_errors(&mut document);
+    openapi_shared::add_shared(&mut document);
     openapi_values::add_link_limit(&mut document, limits.link.as_secs());
     serde_json::to_vec_pretty(&document).map(Bytes::from)
 }

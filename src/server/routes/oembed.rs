@@ -18,23 +18,6 @@ const SIDES: std::ops::RangeInclusive<u32> = 1..=16_384;
 /// Seconds that consumers may cache an answer: titles change.
 const CACHE_AGE: u32 = 3600;
 
-/// Parameters. The server ignores others, since sites add their own.
-#[derive(Debug, Default, utoipa::IntoParams)]
-#[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "describes the parameters in the OpenAPI document; they are read one by one so that errors name them")]
-pub struct OEmbedQuery {
-    /// Address of a photo's page (`/view/ID` or `/embed/ID`) on this server.
-    url: String,
-    /// Widest frame and picture in pixels; 800 if it is not given.
-    #[param(minimum = 1, maximum = 16384)]
-    maxwidth: Option<u32>,
-    /// Highest frame and picture in pixels; 800 if it is not given.
-    #[param(minimum = 1, maximum = 16384)]
-    maxheight: Option<u32>,
-    /// `json`.
-    format: Option<String>,
-}
-
 /// How to embed a photo.
 #[derive(Serialize, utoipa::ToSchema)]
 pub struct OEmbed {
@@ -72,7 +55,13 @@ pub struct OEmbed {
 ///
 /// The route ignores unknown parameters, since sites add their own.
 #[utoipa::path(
-    get, path = "/oembed", tag = "photos", params(OEmbedQuery),
+    get, path = "/oembed", tag = "photos",
+    params(
+        ("url" = String, Query, description = "Address of a photo's page (`/view/ID` or `/embed/ID`) on this server"),
+        ("maxwidth" = Option<u32>, Query, minimum = 1, maximum = 16384, description = "Widest frame and picture in pixels; 800 if it is not given"),
+        ("maxheight" = Option<u32>, Query, minimum = 1, maximum = 16384, description = "Highest frame and picture in pixels; 800 if it is not given"),
+        ("format" = Option<String>, Query, description = "`json`"),
+    ),
     responses(
         (status = 200, description = "A frame and a picture", body = OEmbed),
         (status = 400, description = "A parameter is wrong"),
@@ -85,12 +74,7 @@ pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEm
     if let Some(other) = pairs.get("format").filter(|f| *f != "json") {
         return Err(Problem::new(StatusCode::NOT_IMPLEMENTED, "format", format!("the answer is JSON, not {other:?}")).field("format"));
     }
-    let side = |name: &str| {
-        let read = |text: &str| text.parse().ok().filter(|n| SIDES.contains(n));
-        let wrong = |text: &str| Problem::parameter(name, format!("must be from {} to {}, not {text:?}", SIDES.start(), SIDES.end()));
-        pairs.get(name).map_or(Ok(USUAL), |text| read(text).ok_or_else(|| wrong(text)))
-    };
-    let most = (side("maxwidth")?, side("maxheight")?);
+    let most = (pairs.number("maxwidth", &SIDES)?.unwrap_or(USUAL), pairs.number("maxheight", &SIDES)?.unwrap_or(USUAL));
     let url = pairs.get("url").ok_or_else(|| Problem::parameter("url", "is missing"))?;
     let id = photo_of(&app, url).ok_or_else(|| Problem::not_found("the URL is not a photo page of this server").field("url"))?;
     let photo = app.photo(&id).await?;

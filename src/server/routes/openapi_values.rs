@@ -2,35 +2,26 @@
 //! have no `utoipa` schemas.
 
 use clap::ValueEnum;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::export::{ExportFormat, ModelShape, ModelTextures};
 use crate::server::photo_options::value_name;
-use crate::server::viewer_settings::{Idle, SPEED, TITLE, VERSION};
+use crate::server::viewer_settings::{VERSION, idle_names};
 use tmpi_library::EventType;
 use tmpi_pipeline::depth::DepthKind;
 use tmpi_pipeline::{Denoise, PlaneMethod, Stereo, Switch};
 use tmpi_render::{Path, PictureFormat, StereoLayout};
 
 /// All values of a choice.
-fn words<T: ValueEnum>() -> Vec<String> {
+fn words<T: ValueEnum>() -> Value {
     T::value_variants().iter().map(value_name).collect()
 }
 
-/// Allowed values of a string.
-enum Text {
-    Words(Vec<String>),
-    Pattern(&'static str),
-}
-
-impl Text {
-    fn put(self, schema: &mut Value) {
-        match self {
-            Self::Words(words) => schema["enum"] = words.into(),
-            Self::Pattern(pattern) => schema["pattern"] = pattern.into(),
-        }
-        schema["type"] = "string".into();
-    }
+/// Restricts a schema to text that a list of words or a pattern allows.
+fn restrict(schema: &mut Value, allowed: Value) {
+    let keyword = if allowed.is_array() { "enum" } else { "pattern" };
+    schema[keyword] = allowed;
+    schema["type"] = "string".into();
 }
 
 /// Schemas whose parsers refuse unknown fields.
@@ -41,7 +32,7 @@ pub fn add_values(document: &mut Value) {
     for name in CLOSED {
         document["components"]["schemas"][name]["additionalProperties"] = false.into();
     }
-    document["components"]["securitySchemes"] = serde_json::json!({
+    document["components"]["securitySchemes"] = json!({
         "bearer": {"type": "http", "scheme": "bearer", "description": "An API key (`tmpi_k_…`, from `tmpi key add`), an owner's own secret \
             (`tmpi_o_` and 32 to 128 random letters, digits, - and _), or a photo's own token (`tmpi_m_…`, from `manage` in links). Only \
             with `tmpi serve --access private`"},
@@ -51,77 +42,66 @@ pub fn add_values(document: &mut Value) {
     // the query may hold the parameters of a file
     document["paths"]["/v1/photos/{id}/exports"]["post"]["requestBody"]["required"] = false.into();
     // no credentials are needed with open access, and for photos that their owner shows to everyone
-    document["security"] = serde_json::json!([{}, {"bearer": []}, {"cookie": []}]);
-    let form = &mut document["components"]["schemas"]["UploadForm"]["properties"];
-    for (field, text) in [
-        ("class", Text::Words(["interactive", "batch"].map(str::to_owned).into())),
-        ("denoise", Text::Words(words::<Denoise>())),
-        ("depth_kind", Text::Words(words::<DepthKind>())),
-        ("photo_depth", Text::Words(words::<Switch>())),
-        ("plane_method", Text::Words(words::<PlaneMethod>())),
-        ("planes", Text::Pattern("^(auto|[0-9]+)$")),
-        ("refine", Text::Words(words::<Switch>())),
-        ("snap", Text::Words(words::<Switch>())),
-        ("stereo", Text::Words(words::<Stereo>())),
-        ("tile", Text::Pattern("^(full|[0-9]+)$")),
-        ("visibility", Text::Words(["private", "link"].map(str::to_owned).into())),
-        ("view_box", Text::Pattern("^[^,]+,[^,]+,[^,]+$")),
-    ] {
-        text.put(&mut form[field]);
+    document["security"] = json!([{}, {"bearer": []}, {"cookie": []}]);
+    let exports = ExportFormat::ALL.map(ExportFormat::extension).into_iter();
+    let fields = [
+        ("UploadForm", "class", json!(["interactive", "batch"])),
+        ("UploadForm", "denoise", words::<Denoise>()),
+        ("UploadForm", "depth_kind", words::<DepthKind>()),
+        ("UploadForm", "photo_depth", words::<Switch>()),
+        ("UploadForm", "plane_method", words::<PlaneMethod>()),
+        ("UploadForm", "planes", json!("^(auto|[0-9]+)$")),
+        ("UploadForm", "refine", words::<Switch>()),
+        ("UploadForm", "snap", words::<Switch>()),
+        ("UploadForm", "stereo", words::<Stereo>()),
+        ("UploadForm", "tile", json!("^(full|[0-9]+)$")),
+        ("UploadForm", "visibility", json!(["private", "link"])),
+        ("UploadForm", "view_box", json!("^[^,]+,[^,]+,[^,]+$")),
+        ("ExportOrder", "format", exports.clone().chain(["webp", "mp4"]).collect()),
+        ("ExportOrder", "shape", words::<ModelShape>()),
+        ("ExportOrder", "textures", words::<ModelTextures>()),
+        ("ExportOrder", "path", words::<Path>()),
+    ];
+    for (schema, field, allowed) in fields {
+        restrict(&mut document["components"]["schemas"][schema]["properties"][field], allowed);
     }
     for name in ["WebhookOrder", "WebhookPatch"] {
         let fields = &mut document["components"]["schemas"][name]["properties"];
-        Text::Words(EventType::ALL.map(|event| event.name().to_owned()).into()).put(&mut fields["events"]["items"]);
+        restrict(&mut fields["events"]["items"], EventType::ALL.map(EventType::name).into_iter().collect());
         fields["url"]["format"] = "uri".into();
     }
-    let stills = PictureFormat::ALL.map(|f| value_name(&f));
-    let exports = ExportFormat::ALL.map(|f| f.extension().to_owned());
-    let order = &mut document["components"]["schemas"]["ExportOrder"]["properties"];
-    Text::Words([&exports[..], &["webp".to_owned(), "mp4".to_owned()]].concat()).put(&mut order["format"]);
-    Text::Words(words::<ModelShape>()).put(&mut order["shape"]);
-    Text::Words(words::<ModelTextures>()).put(&mut order["textures"]);
-    Text::Words(words::<Path>()).put(&mut order["path"]);
-    for (path, parameter, text) in [
-        ("/v1/photos/{id}/view", "format", Text::Words([&stills[..], &["mpo", "mp4"].map(str::to_owned)].concat())),
-        ("/v1/photos/{id}/view", "stereo", Text::Words(words::<StereoLayout>())),
-        ("/v1/photos/{id}/view", "quilt", Text::Pattern("^[0-9]+x[0-9]+$")),
-        ("/v1/photos/{id}/view", "crop", Text::Pattern("^[^,]+,[^,]+,[^,]+,[^,]+$")),
-        ("/v1/photos/{id}/view", "path", Text::Words(words::<Path>())),
-        ("/v1/photos/{id}/export", "format", Text::Words(exports.into())),
-        ("/v1/photos/{id}/export", "shape", Text::Words(words::<ModelShape>())),
-        ("/v1/photos/{id}/export", "textures", Text::Words(words::<ModelTextures>())),
-        ("/v1/photos/{id}/atlas", "region", Text::Pattern("^[0-9]+,[0-9]+,[0-9]+,[0-9]+$")),
-    ] {
-        let parameters = document["paths"][path]["get"]["parameters"].as_array_mut();
-        if let Some(found) = parameters.into_iter().flatten().find(|p| p["name"] == parameter) {
-            text.put(&mut found["schema"]);
+    let stills = PictureFormat::ALL.iter().map(value_name);
+    let parameters = [
+        ("view", "format", stills.chain(["mpo", "mp4"].map(str::to_owned)).collect()),
+        ("view", "stereo", words::<StereoLayout>()),
+        ("view", "quilt", json!("^[0-9]+x[0-9]+$")),
+        ("view", "crop", json!("^[^,]+,[^,]+,[^,]+,[^,]+$")),
+        ("view", "path", words::<Path>()),
+        ("export", "format", exports.collect()),
+        ("export", "shape", words::<ModelShape>()),
+        ("export", "textures", words::<ModelTextures>()),
+        ("atlas", "region", json!("^[0-9]+,[0-9]+,[0-9]+,[0-9]+$")),
+    ];
+    for (route, name, allowed) in parameters {
+        let all = document["paths"][format!("/v1/photos/{{id}}/{route}")]["get"]["parameters"].as_array_mut();
+        if let Some(parameter) = all.into_iter().flatten().find(|parameter| parameter["name"] == name) {
+            restrict(&mut parameter["schema"], allowed);
         }
     }
 }
 
-/// Writes the bounds of a photo's settings.
+/// Writes the versions, motions and idle motions of a photo's settings.
 fn settings(schemas: &mut Value) {
-    let bounded = |least: f64| {
-        let mut offset = schemas["Offset"].clone();
-        for axis in ["x", "y", "z"] {
-            (offset["properties"][axis]["minimum"], offset["properties"][axis]["maximum"]) = (least.into(), 1.0.into());
-        }
-        offset
-    };
-    let (reach, place) = (bounded(0.0), bounded(-1.0));
-    schemas["Offset"] = place;
-    let settings = &mut schemas["Settings"]["properties"];
     // a fraction of the view box, not a position in it
-    let mut motion = reach;
+    let mut motion = schemas["Offset"].clone();
+    for axis in ["x", "y", "z"] {
+        motion["properties"][axis]["minimum"] = 0.0.into();
+    }
+    let settings = &mut schemas["Settings"]["properties"];
     motion["description"] = settings["motion"]["oneOf"][0]["description"].take();
     settings["motion"]["oneOf"][0] = motion;
     settings["version"]["enum"] = [VERSION].into();
-    (settings["focus"]["minimum"], settings["focus"]["maximum"]) = (0.into(), 1.into());
-    (settings["speed"]["minimum"], settings["speed"]["maximum"]) = (SPEED[0].into(), SPEED[1].into());
-    (settings["title"]["minLength"], settings["title"]["maxLength"]) = (1.into(), TITLE.into());
-    let printed = r"[^\u0000-\u001f\u007f-\u009f]*";
-    settings["title"]["pattern"] = format!(r"^{printed}[^\s\u0000-\u001f\u007f-\u009f]{printed}$").into();
-    let ways = Idle::names().map(Value::from).chain([Value::Null]);
+    let ways = idle_names().map(Value::from).chain([Value::Null]);
     settings["idle"]["enum"] = ways.collect();
 }
 

@@ -30,7 +30,6 @@ pub struct Ticket {
     post, path = "/v1/owner/ticket", tag = "system",
     responses(
         (status = 200, description = "The ticket", body = Ticket),
-        (status = 400, description = "The route takes neither parameters nor a body"),
         (status = 403, description = "The caller has no owner's secret"),
     )
 )]
@@ -60,11 +59,7 @@ pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Res
     )
 )]
 pub async fn adopt_owner(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
-    let replace = match Pairs::read(&uri, &["replace"])?.get("replace") {
-        None | Some("false") => false,
-        Some("true") => true,
-        Some(other) => return Err(Problem::parameter("replace", format!("must be true or false, not {other:?}"))),
-    };
+    let replace = Pairs::read(&uri, &["replace"])?.parse("replace", "true or false", |text| text.parse().ok())?.unwrap_or(false);
     let mut response = StatusCode::NO_CONTENT.into_response();
     if let Some(guard) = &app.guard
         && let Some((owner, kept)) = guard.named_owner().await?

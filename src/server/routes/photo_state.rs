@@ -28,7 +28,7 @@ pub enum StateName {
     Damaged,
 }
 
-/// Current stage of a photo.
+/// Current stage of a photo, as [`tmpi_pipeline::Progress`] tells it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Progress {
     /// Name of the stage: `photo`, `depth`, `planes`, and so on.
@@ -39,12 +39,6 @@ pub struct Progress {
     pub steps: u32,
     /// Milliseconds since the job's start.
     pub elapsed_ms: f64,
-}
-
-impl From<&tmpi_pipeline::Progress> for Progress {
-    fn from(p: &tmpi_pipeline::Progress) -> Self {
-        Self { stage: p.stage.to_owned(), step: p.step, steps: p.steps, elapsed_ms: p.elapsed_ms }
-    }
 }
 
 /// Addresses of everything that belongs to a photo. Those of results work once it is done; addresses with `v` then name the version, and

@@ -3,17 +3,18 @@
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::{Extension, Path, Query, Request, State};
+use axum::extract::{Extension, Path, Request, State};
 use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE, ETAG, LOCATION};
 use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
 use super::photo_state::{PhotoList, PhotoState};
-use super::query::{NoQuery, Pairs};
+use super::query::{Found, NoQuery, Pairs, decode};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, StoredFile};
 use crate::server::conditional::{Entity, check_if_match, insert, respond, respond_uncached};
+use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use crate::server::program_digest::short;
 use crate::server::request_body;
@@ -127,7 +128,7 @@ pub struct UploadForm {
 )]
 pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimit>, request: Request) -> Result<Response, Problem> {
     let wait = prefer_wait(request.headers());
-    let Query(query) = Query::<Vec<(String, String)>>::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
+    let query = decode(request.uri())?;
     let (owner, is_new) = uploader(&app)?;
     // before the body comes
     if let Some(owner) = &owner {
@@ -138,7 +139,7 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimi
     } else {
         upload::upload(&app, &query, request, owner).await?
     };
-    accepted(&app, photo, &clock, wait, is_new).await
+    answer(&app, photo, (&clock, wait), StatusCode::CREATED, is_new).await
 }
 
 /// Bytes of the body, as far as that is told.
@@ -152,8 +153,15 @@ fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
     Ok(uploader.map_or((None, false), |(owner, is_new)| (Some(owner), is_new)))
 }
 
-/// The answer to an accepted upload. A new owner gets a link with the photo's token, without which they cannot see the photo.
-async fn accepted(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
+/// The state of a queued photo with the status `done` if it is made within the time of `Prefer: wait` and of the request, its problem if it
+/// fails, else 202. A new owner gets a link with the photo's token, without which they cannot see the photo.
+pub(super) async fn answer(
+    app: &App,
+    photo: Photo,
+    (clock, wait): (&TimeLimit, Option<u64>),
+    done: StatusCode,
+    is_new: bool,
+) -> Result<Response, Problem> {
     let photo = wait_for(app, photo, clock, wait).await?;
     let ready = wait.is_some() && photo.state.is_final();
     if ready && photo.state != Phase::Done {
@@ -163,7 +171,7 @@ async fn accepted(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>,
     }
     let mut state = PhotoState::of(app, &photo).await?;
     state.links.manage = app.guard.as_ref().filter(|_| is_new).map(|guard| guard.manage_link(&photo));
-    let status = if ready { StatusCode::CREATED } else { StatusCode::ACCEPTED };
+    let status = if ready { done } else { StatusCode::ACCEPTED };
     let location = state.links.this.clone();
     let mut response = (status, Json(state)).into_response();
     insert(&mut response, LOCATION, &location);
@@ -177,7 +185,7 @@ async fn accepted(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>,
 ///
 /// # Errors
 /// 404 where it was deleted, 503 where the library cannot be reached.
-pub(super) async fn wait_for(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>) -> Result<Photo, Problem> {
+async fn wait_for(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>) -> Result<Photo, Problem> {
     let Some(seconds) = wait else { return Ok(photo) };
     // counted from the end of the body; the longest wait is what the request has left
     let left = clock.deadline().map_or(Duration::ZERO, |at| at.saturating_duration_since(tokio::time::Instant::now()));
@@ -215,24 +223,16 @@ pub(super) fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
     })
 }
 
-/// Parameters of the list.
-#[derive(Debug, Default, serde::Deserialize, utoipa::IntoParams)]
-#[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "describes the parameters in the OpenAPI document; they are read one by one so that errors name them")]
-pub struct ListQuery {
-    /// Photos on this page, at most 200; 50 if it is not given.
-    #[param(minimum = 1, maximum = 200)]
-    limit: Option<usize>,
-    /// Id of the last photo of the page before.
-    after: Option<String>,
-}
-
 /// List photos, newest first.
 ///
 /// Only for this machine's own user: where the server is bound beyond loopback, is asked under another name than loopback's, or a proxy
 /// passes the request on, the list is closed unless the server was started with `--access public`. With `--access private` it shows one's own.
 #[utoipa::path(
-    get, path = "/v1/photos", tag = "photos", params(ListQuery),
+    get, path = "/v1/photos", tag = "photos",
+    params(
+        ("limit" = Option<usize>, Query, minimum = 1, maximum = 200, description = "Photos on this page, at most 200; 50 if it is not given"),
+        ("after" = Option<String>, Query, description = "Id of the last photo of the page before"),
+    ),
     responses(
         (status = 200, description = "A page of the list", body = PhotoList),
         (status = 400, description = "A parameter is wrong"),
@@ -246,11 +246,7 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
         return Err(Problem::new(StatusCode::FORBIDDEN, "list-closed", detail));
     }
     let pairs = Pairs::read(request.uri(), &["limit", "after"])?;
-    let most = crate::server::Limits::PAGE;
-    let limit = pairs.get("limit").map_or(Ok(DEFAULT_PAGE.min(most)), |text| {
-        let n = text.parse().ok().filter(|n| (1..=most).contains(n));
-        n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {most}, not {text:?}")))
-    })?;
+    let limit = pairs.number("limit", &(1..=Limits::PAGE))?.unwrap_or(DEFAULT_PAGE);
     let after = match pairs.get("after") {
         Some(text) => Some(cursor(&app, text).await.ok_or_else(|| Problem::parameter("after", format!("there is no photo {text:?}")))?),
         None => None,
@@ -280,12 +276,11 @@ async fn cursor(app: &App, text: &str) -> Option<Cursor> {
 
 /// State, sizes and settings of a photo.
 #[utoipa::path(
-    get, path = "/v1/photos/{id}", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    get, path = "/v1/photos/{id}", tag = "photos",
     responses(
         (status = 200, description = "State, sizes and settings", body = PhotoState,
             headers(("ETag" = String, description = "Version of all this; `If-Match` goes by its first half, that of the settings"))),
         (status = 304, description = "The client has it"),
-        (status = 404, description = "There is no such photo"),
     )
 )]
 pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
@@ -301,16 +296,14 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
 ///
 /// Any site may read it: it is what an element on another site's page needs besides the container.
 #[utoipa::path(
-    get, path = "/v1/photos/{id}/settings", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    get, path = "/v1/photos/{id}/settings", tag = "photos",
     responses(
         (status = 200, description = "The settings", body = Settings),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "There are no parameters here"),
-        (status = 404, description = "There is no such photo"),
     )
 )]
-pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
-    let settings = Settings::of(&app.photo(&id).await?);
+pub async fn settings(_: NoQuery, Found(photo): Found, headers: HeaderMap) -> Result<Response, Problem> {
+    let settings = Settings::of(&photo);
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
     let file = StoredFile::new(bytes);
     Ok(respond(&headers, Entity::json(file.source, &file.etag)))
@@ -350,15 +343,11 @@ async fn state_now(app: &App, photo: &Photo, better_depth: Option<String>) -> Re
 /// their next start on; they stay with the photo when the server is restarted.
 #[utoipa::path(
     patch, path = "/v1/photos/{id}", tag = "photos",
-    params(
-        ("id" = String, Path, description = "Id of the photo"),
-        ("If-Match" = Option<String>, Header, description = "Change only these settings, by the tag of a state"),
-    ),
+    params(("If-Match" = Option<String>, Header, description = "Change only these settings, by the tag of a state")),
     request_body(content((Settings = "application/merge-patch+json"), (Settings = "application/json"))),
     responses(
         (status = 200, description = "State, sizes and settings", body = PhotoState),
         (status = 400, description = "A setting is wrong; `field` names it"),
-        (status = 404, description = "There is no such photo"),
         (status = 412, description = "It was changed meanwhile"),
         (status = 413, description = "The patch is too large"),
         (status = 415, description = "Not JSON"),
@@ -387,9 +376,7 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
 /// The headers and the body of a request that is a merge patch of `what`, in at most `most` bytes.
 pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Result<(HeaderMap, Bytes), Problem> {
     let (parts, body) = request.into_parts();
-    let kind = parts.headers.get(CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
-    let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
-    if !matches!(kind.as_str(), "application/json" | "application/merge-patch+json") {
+    if !matches!(request_body::media_type(parts.headers.get(CONTENT_TYPE)).as_str(), "application/json" | "application/merge-patch+json") {
         let detail = format!("{what} are application/merge-patch+json or application/json");
         return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-patch", detail).field("Content-Type"));
     }
@@ -401,19 +388,13 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
 /// A job under way is stopped.
 #[utoipa::path(
     delete, path = "/v1/photos/{id}", tag = "photos",
-    params(
-        ("id" = String, Path, description = "Id of the photo"),
-        ("If-Match" = Option<String>, Header, description = "Delete it only with these settings, by the tag of a state"),
-    ),
+    params(("If-Match" = Option<String>, Header, description = "Delete it only with these settings, by the tag of a state")),
     responses(
         (status = 204, description = "Gone"),
-        (status = 400, description = "There are no parameters here"),
-        (status = 404, description = "There is no such photo"),
         (status = 412, description = "It was changed meanwhile"),
     )
 )]
-pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<StatusCode, Problem> {
-    let photo = app.photo(&id).await?;
+pub async fn delete(State(app): State<App>, _: NoQuery, Found(photo): Found, headers: HeaderMap) -> Result<StatusCode, Problem> {
     check_if_match(&headers, &state_now(&app, &photo, None).await?.etag)?;
     let deleted = app.library.delete(photo.id, Some(photo.accepted_at)).await?;
     app.evict_photo(photo.id).await;

@@ -1,16 +1,31 @@
-//! Strict query parsing: on every route, parameters are known and given once.
+//! Extractors, and strict query parsing: on every route, parameters are known and given once.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
 
 use axum::body::HttpBody as _;
-use axum::extract::{FromRequest, FromRequestParts, Query, Request};
+use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
 use axum::http::Uri;
 use axum::http::request::Parts;
+use clap::ValueEnum;
 
+use crate::server::app_state::App;
+use crate::server::photo_options::value_name;
 use crate::server::problem::Problem;
 use crate::server::request_body;
+use tmpi_library::Photo;
 
-/// Parameters of a query, decoded.
+/// All parameters of a query, decoded.
+///
+/// # Errors
+/// 400 if it is not UTF-8.
+pub fn decode(uri: &Uri) -> Result<Vec<(String, String)>, Problem> {
+    Query::try_from_uri(uri).map(|Query(pairs)| pairs).map_err(|e| Problem::bad_request(e.body_text()))
+}
+
+/// Parameters of a query, decoded, known and given once.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Pairs(BTreeMap<String, String>);
 
@@ -20,7 +35,7 @@ impl Pairs {
     /// # Errors
     /// 400 that names the first parameter that is unknown or given twice.
     pub fn read(uri: &Uri, names: &[&str]) -> Result<Self, Problem> {
-        Self::reading(uri, names, true)
+        Self::of(decode(uri)?, names)
     }
 
     /// Like [`Pairs::read`], but ignores parameters with other names.
@@ -28,12 +43,9 @@ impl Pairs {
     /// # Errors
     /// 400 that names the first parameter that is given twice.
     pub fn read_some(uri: &Uri, names: &[&str]) -> Result<Self, Problem> {
-        Self::reading(uri, names, false)
-    }
-
-    fn reading(uri: &Uri, names: &[&str], strict: bool) -> Result<Self, Problem> {
-        let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|e| Problem::bad_request(e.body_text()))?;
-        Self::among(pairs, names, strict)
+        let mut pairs = decode(uri)?;
+        pairs.retain(|(name, _)| names.contains(&name.as_str()));
+        Self::of(pairs, names)
     }
 
     /// Like [`Pairs::read`], for parameters that are parsed already.
@@ -41,16 +53,9 @@ impl Pairs {
     /// # Errors
     /// As [`Pairs::read`].
     pub fn of(pairs: Vec<(String, String)>, names: &[&str]) -> Result<Self, Problem> {
-        Self::among(pairs, names, true)
-    }
-
-    fn among(pairs: Vec<(String, String)>, names: &[&str], strict: bool) -> Result<Self, Problem> {
         let mut given = BTreeMap::new();
         for (name, value) in pairs {
             if !names.contains(&name.as_str()) {
-                if !strict {
-                    continue;
-                }
                 let known = if names.is_empty() { "none".into() } else { names.join(", ") };
                 return Err(Problem::parameter(name, format!("there is no such parameter; there are {known}")));
             }
@@ -71,6 +76,41 @@ impl Pairs {
     pub fn take(&mut self, name: &str) -> Option<String> {
         self.0.remove(name)
     }
+
+    /// The value of a parameter as `parse` reads it; `allowed` describes what it must be.
+    ///
+    /// # Errors
+    /// 400 if `parse` refuses the value.
+    pub fn parse<T>(&self, name: &str, allowed: &str, parse: impl FnOnce(&str) -> Option<T>) -> Result<Option<T>, Problem> {
+        let wrong = |text: &str| Problem::parameter(name, format!("must be {allowed}, not {text:?}"));
+        self.get(name).map(|text| parse(text).ok_or_else(|| wrong(text))).transpose()
+    }
+
+    /// The choice in a parameter.
+    ///
+    /// # Errors
+    /// 400 with all choices if there is no such one.
+    pub fn choice<T: ValueEnum>(&self, name: &str) -> Result<Option<T>, Problem> {
+        let all: Vec<String> = T::value_variants().iter().map(value_name).collect();
+        self.parse(name, &format!("one of {}", all.join(", ")), |text| T::from_str(text, false).ok())
+    }
+
+    /// The number in a parameter.
+    ///
+    /// # Errors
+    /// 400 if it is no number in `range`.
+    pub fn number<T: FromStr + PartialOrd + Display>(&self, name: &str, range: &RangeInclusive<T>) -> Result<Option<T>, Problem> {
+        let allowed = format!("from {} to {}", range.start(), range.end());
+        self.parse(name, &allowed, |text| text.parse().ok().filter(|number| range.contains(number)))
+    }
+
+    /// A parameter with a parser that says what is wrong.
+    ///
+    /// # Errors
+    /// 400 with the parser's error.
+    pub fn typed<T: FromStr<Err: Display>>(&self, name: &str) -> Result<Option<T>, Problem> {
+        self.get(name).map(str::parse).transpose().map_err(|error| Problem::parameter(name, error))
+    }
 }
 
 /// Extractor of routes without parameters.
@@ -81,6 +121,19 @@ impl<S: Sync> FromRequestParts<S> for NoQuery {
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
         Pairs::read(&parts.uri, &[]).map(|_| Self)
+    }
+}
+
+/// Extractor of the photo whose id the path has.
+pub struct Found(pub Photo);
+
+impl FromRequestParts<App> for Found {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Problem> {
+        let path = Path::<BTreeMap<String, String>>::from_request_parts(parts, app).await;
+        let Path(parameters) = path.map_err(|e| Problem::new(e.status(), "request", e.body_text()))?;
+        app.photo(parameters.get("id").map_or("", String::as_str)).await.map(Self)
     }
 }
 

@@ -1,20 +1,17 @@
 //! Making a photo again.
 
-use axum::Json;
-use axum::extract::{Extension, Path, State};
-use axum::http::header::LOCATION;
-use axum::http::{HeaderMap, HeaderName, StatusCode, Uri};
-use axum::response::{IntoResponse, Response};
+use axum::extract::{Extension, State};
+use axum::http::{HeaderMap, StatusCode, Uri};
+use axum::response::Response;
 
 use super::photo_state::PhotoState;
-use super::photos::{prefer_wait, wait_for};
-use super::query::{NoBody, Pairs};
+use super::photos::{self, prefer_wait};
+use super::query::{Found, NoBody, Pairs};
 use crate::server::app_state::{App, AppState};
-use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload_fields::class_of;
-use tmpi_library::{Class, Photo, PhotoState as Phase};
+use tmpi_library::Photo;
 
 /// Make a photo again.
 ///
@@ -23,7 +20,6 @@ use tmpi_library::{Class, Photo, PhotoState as Phase};
 #[utoipa::path(
     post, path = "/v1/photos/{id}/remake", tag = "photos",
     params(
-        ("id" = String, Path, description = "Id of the photo"),
         ("class" = Option<String>, Query, pattern = "^(interactive|batch)$", description = "`batch` for bulk work, which gives way to others; else `interactive`"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
     ),
@@ -31,7 +27,6 @@ use tmpi_library::{Class, Photo, PhotoState as Phase};
         (status = 200, description = "Made within the time of `Prefer: wait`", body = PhotoState),
         (status = 202, description = "In the queue", body = PhotoState, headers(("Location" = String, description = "Address of the photo"))),
         (status = 400, description = "A parameter is wrong, or there is a body"),
-        (status = 404, description = "There is no such photo"),
         (status = 409, description = "The photo is being made"),
         (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),
         (status = 507, description = "The disk is full"),
@@ -39,38 +34,20 @@ use tmpi_library::{Class, Photo, PhotoState as Phase};
 )]
 pub async fn remake(
     State(app): State<App>,
-    Path(id): Path<String>,
+    Found(photo): Found,
     Extension(clock): Extension<TimeLimit>,
     uri: Uri,
     headers: HeaderMap,
     _: NoBody,
 ) -> Result<Response, Problem> {
-    let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), class_of);
-    let class = class.ok_or_else(|| Problem::parameter("class", "must be interactive or batch"))?;
-    let photo = app.photo(&id).await?;
+    let class = Pairs::read(&uri, &["class"])?.parse("class", "interactive or batch", class_of)?.unwrap_or_default();
     let queued = app.library.remake(&photo, class, &AppState::requester(photo.owner.clone())).await?;
     answer(&app, queued, &headers, &clock).await
 }
 
-/// The state of a queued photo: 200 if it is made within the time of `Prefer: wait` and of the request, its problem if it fails, else 202.
+/// As [`photos::answer`], for a photo that is made again.
 pub(super) async fn answer(app: &App, photo: Photo, headers: &HeaderMap, clock: &TimeLimit) -> Result<Response, Problem> {
     // drop cache entries of the old version
     app.evict_photo(photo.id).await;
-    let wait = prefer_wait(headers);
-    let photo = wait_for(app, photo, clock, wait).await?;
-    let ready = photo.state.is_final();
-    if ready && photo.state != Phase::Done {
-        return Ok(Problem::of_photo(&photo).into_response());
-    }
-    let mut response = state(app, &photo, if ready { StatusCode::OK } else { StatusCode::ACCEPTED }).await?;
-    insert(&mut response, LOCATION, &format!("/v1/photos/{}", photo.id));
-    if let Some(seconds) = wait {
-        insert(&mut response, HeaderName::from_static("preference-applied"), &format!("wait={seconds}"));
-    }
-    Ok(response)
-}
-
-/// The state of a photo as an answer.
-pub(super) async fn state(app: &App, photo: &Photo, status: StatusCode) -> Result<Response, Problem> {
-    Ok((status, Json(PhotoState::of(app, photo).await?)).into_response())
+    photos::answer(app, photo, (clock, prefer_wait(headers)), StatusCode::OK, false).await
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use axum::extract::{Extension, Path, State};
+use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::Response;
 use tokio_util::sync::CancellationToken;
@@ -20,6 +20,7 @@ use tmpi_library::Photo;
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_multiview, encode};
 
 use super::derived_answer::Derived;
+use super::query::Found;
 use super::rendered_view_query::ViewQuery;
 
 /// The format that the client prefers; PNG without a preference. `None` if it accepts none.
@@ -66,13 +67,12 @@ fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFo
 /// rendered the view for this request, `Server-Timing` has the times of decoding, rendering and encoding.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/view", tag = "photos",
-    params(("id" = String, Path, description = "Id of the photo"), ViewQuery),
+    params(ViewQuery),
     responses(
         (status = 200, description = "The view; PNG and WebP are transparent where nothing is known", content(
             (String = "image/png"), (String = "image/jpeg"), (String = "image/webp"), (String = "image/mpo"), (String = "video/mp4"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it"),
-        (status = 404, description = "There is no such photo"),
         (status = 406, description = "The client accepts none of the formats"),
         (status = 409, description = "Not finished yet"),
         (status = 501, description = "There is no ffmpeg for an animation"),
@@ -82,11 +82,10 @@ fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFo
 pub async fn view(
     State(app): State<App>,
     Extension(clock): Extension<TimeLimit>,
-    Path(id): Path<String>,
+    Found(photo): Found,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
     let query = ViewQuery::read(&uri, &app.limits)?;
     let (version, done) = AppState::finished(&photo)?;
     let size = query.size((done.width, done.height), &app.limits)?;

@@ -1,7 +1,6 @@
 //! Query parameters of a view.
 
 use axum::http::Uri;
-use clap::ValueEnum as _;
 
 use super::query::Pairs;
 use crate::server::limits::Limits;
@@ -21,8 +20,9 @@ const LENGTH_STEP: f64 = 1e-5;
 /// Degrees.
 const ANGLE_STEP: f64 = 1e-3;
 
-const NAMES: [&str; 18] =
-    ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "crop", "format", "stereo", "quilt", "ipd", "focus", "path", "frames", "v"];
+/// Parameters of a view, without its version.
+const NAMES: [&str; 17] =
+    ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "crop", "format", "stereo", "quilt", "ipd", "focus", "path", "frames"];
 /// Allowed numbers of frames of an animation.
 const FRAMES: std::ops::RangeInclusive<u32> = 2..=240;
 /// Default number of frames: two seconds.
@@ -134,67 +134,43 @@ impl ViewQuery {
     /// # Errors
     /// 400 that names the first parameter that is unknown, given twice, not finite or out of range.
     pub fn read(uri: &Uri, limits: &Limits) -> Result<Self, Problem> {
-        Self::of(Pairs::read(uri, &NAMES)?, limits)
+        Self::of(Pairs::read(uri, &[&NAMES[..], &["v"]].concat())?, limits)
     }
 
-    /// Like [`Self::read`], for parameters that are parsed already.
+    /// Like [`Self::read`], for the parameters of a film, which has no version.
     ///
     /// # Errors
-    /// 400 that names the first parameter that is not finite or out of range.
-    pub fn of(mut given: Pairs, limits: &Limits) -> Result<Self, Problem> {
-        let version = given.take("v");
-        let mut number = |name: &str| -> Result<Option<f64>, Problem> {
-            let Some(text) = given.take(name) else { return Ok(None) };
-            let value = text.parse().ok().filter(|v: &f64| v.is_finite());
-            value.map(Some).ok_or_else(|| Problem::parameter(name, format!("must be a finite number, not {text:?}")))
+    /// As [`Self::read`].
+    pub fn of_film(pairs: Vec<(String, String)>, limits: &Limits) -> Result<Self, Problem> {
+        Self::of(Pairs::of(pairs, &NAMES)?, limits)
+    }
+
+    fn of(mut given: Pairs, limits: &Limits) -> Result<Self, Problem> {
+        let on_grid = |name: &str, step: f64| {
+            let finite = |text: &str| text.parse().ok().filter(|v: &f64| v.is_finite());
+            given.parse(name, "a finite number", finite).map(|number| number.map(|v| rounded(v, step)))
         };
-        let mut on_grid = |name: &str, step: f64| Ok::<_, Problem>(number(name)?.map(|v| rounded(v, step)));
         let [tx, ty, tz] = [on_grid("tx", LENGTH_STEP)?, on_grid("ty", LENGTH_STEP)?, on_grid("tz", LENGTH_STEP)?];
         let [yaw, pitch, roll] = [on_grid("yaw", ANGLE_STEP)?, on_grid("pitch", ANGLE_STEP)?, on_grid("roll", ANGLE_STEP)?];
-        let mut within = |name: &str, range: &std::ops::RangeInclusive<f64>| match number(name)? {
-            Some(v) if !range.contains(&v) => Err(Problem::parameter(name, format!("must be from {} to {}", range.start(), range.end()))),
-            v => Ok(v),
-        };
-        let fov = within("fov", &FOV)?;
-        let (ipd, focus) = (within("ipd", &BASELINE)?, within("focus", &FOCUS)?);
-        let crop = given.take("crop").map(|text| text.parse().map_err(|e| Problem::parameter("crop", e))).transpose()?;
-        let mut side = |name: &str| -> Result<Option<u32>, Problem> {
-            let Some(text) = given.take(name) else { return Ok(None) };
-            let value = text.parse().ok().filter(|v| (1..=limits.view_side).contains(v));
-            value.map(Some).ok_or_else(|| Problem::parameter(name, format!("must be from 1 to {} pixels, not {text:?}", limits.view_side)))
-        };
-        let (w, h) = (side("w")?, side("h")?);
-        let path = given.take("path").map(|text| {
-            Path::from_name(&text)
-                .ok_or_else(|| Problem::parameter("path", format!("must be one of {}, not {text:?}", Path::NAMES.join(", "))))
-        });
-        let path = path.transpose()?;
-        let frames = given.take("frames").map(|text| {
-            let value = text.parse().ok().filter(|v| path.is_some() && FRAMES.contains(v));
-            let detail = format!("requires path and must be from {} to {}, not {text:?}", FRAMES.start(), FRAMES.end());
-            value.ok_or_else(|| Problem::parameter("frames", detail))
-        });
-        let frames = frames.transpose()?;
+        let (fov, ipd, focus) = (given.number("fov", &FOV)?, given.number("ipd", &BASELINE)?, given.number("focus", &FOCUS)?);
+        let crop = given.typed("crop")?;
+        let sides = 1..=limits.view_side;
+        let (w, h) = (given.number("w", &sides)?, given.number("h", &sides)?);
+        let path = given.choice("path")?;
+        if path.is_none() && given.get("frames").is_some() {
+            return Err(Problem::parameter("frames", "requires path"));
+        }
+        let frames = given.number("frames", &FRAMES)?;
         let film = path.map(|path| {
-            let text = given.take("format").unwrap_or_else(|| "webp".into());
-            let format = AnimationFormat::from_extension(&text);
-            let format = format.ok_or_else(|| Problem::parameter("format", format!("must be webp or mp4 with path, not {text:?}")))?;
+            let format = given.parse("format", "webp or mp4 with path", AnimationFormat::from_extension)?;
+            let format = format.unwrap_or(AnimationFormat::WebP);
             Ok::<_, Problem>(FilmOptions { path, frames: frames.unwrap_or(USUAL_FRAMES), format })
         });
         let film = film.transpose()?;
-        let format = given.take("format").map(|text| {
-            let known = PictureFormat::from_extension(&text);
-            known.ok_or_else(|| Problem::parameter("format", format!("must be png, jpeg, webp or mpo, not {text:?}")))
-        });
-        let format = format.transpose()?;
-        let stereo = given.take("stereo").map(|text| {
-            StereoLayout::from_name(&text).ok_or_else(|| {
-                let names: Vec<String> = StereoLayout::value_variants().iter().map(|layout| layout.name()).collect();
-                Problem::parameter("stereo", format!("must be one of {}, not {text:?}", names.join(", ")))
-            })
-        });
-        let stereo = stereo.transpose()?;
-        let quilt = given.take("quilt").map(|text| Arrangement::quilt(&text).map_err(|e| Problem::parameter("quilt", e))).transpose()?;
+        let still = || given.parse("format", "png, jpeg, webp or mpo", PictureFormat::from_extension);
+        let format = if film.is_some() { None } else { still()? };
+        let stereo = given.choice("stereo")?;
+        let quilt = given.get("quilt").map(Arrangement::quilt).transpose().map_err(|e| Problem::parameter("quilt", e))?;
         if stereo.is_some() && quilt.is_some() {
             return Err(Problem::parameter("quilt", "cannot be combined with stereo"));
         }
@@ -206,6 +182,7 @@ impl ViewQuery {
         if format == Some(PictureFormat::Mpo) && stereo != Some(StereoLayout::SideBySide) {
             return Err(Problem::parameter("format", "mpo requires stereo=sbs"));
         }
+        let version = given.take("v");
         Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, crop, format, stereo, quilt, ipd, focus, film, frames, version })
     }
 

@@ -1,16 +1,16 @@
 //! What was made of a photo: container, depth, report, thumbnail.
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
-use super::query::{OnlyVersion, Pairs};
+use super::query::{Found, OnlyVersion, Pairs};
 use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, cache_control_for, respond};
 use crate::server::problem::Problem;
 use tmpi_core::Rect;
 use tmpi_core::container::{LEVELS, MEDIA_TYPE, SECTIONS};
-use tmpi_library::Part;
+use tmpi_library::{Part, Photo};
 use tmpi_pipeline::strokes;
 
 /// The container of a photo.
@@ -22,7 +22,6 @@ use tmpi_pipeline::strokes;
 #[utoipa::path(
     get, path = "/v1/photos/{id}/atlas", tag = "photos",
     params(
-        ("id" = String, Path, description = "Id of the photo"),
         ("level" = Option<u8>, Query, description = "0 (default): the photo's own size, 1: half of it, 2: a quarter, 3: an eighth"),
         ("fit" = Option<u16>, Query, description = "Instead of a level: the smallest whose longer side, or that of `region`, has at least \
             this many pixels"),
@@ -45,17 +44,15 @@ use tmpi_pipeline::strokes;
             headers(("Content-Range" = String, description = "Which bytes of how many"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "There is no such level, region or section"),
-        (status = 404, description = "There is no such photo"),
         (status = 409, description = "Not finished yet"),
         (status = 416, description = "There are no such bytes"),
     )
 )]
-pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
+pub async fn atlas(State(app): State<App>, Found(photo): Found, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     // check the query first: 400 goes before 409
     let pairs = Pairs::read(&uri, &["level", "fit", "region", "sections", "v"])?;
     wanted_level(&pairs, 0)?;
-    let (sections, region) = (wanted_sections(&pairs)?, wanted_region(&pairs)?);
+    let (sections, region) = (wanted_sections(&pairs)?, pairs.typed::<Rect>("region")?);
     let (_, done) = AppState::finished(&photo)?;
     let side = region.map_or(done.width.max(done.height), |r| r.w.max(r.h));
     let level = wanted_level(&pairs, side)?;
@@ -74,20 +71,12 @@ fn wanted_sections(pairs: &Pairs) -> Result<Option<Vec<&'static str>>, Problem> 
     list.split(',').map(known).collect::<Result<_, _>>().map(Some)
 }
 
-/// The rectangle of the photo in a query.
-fn wanted_region(pairs: &Pairs) -> Result<Option<Rect>, Problem> {
-    pairs.get("region").map(|text| text.parse().map_err(|e| Problem::parameter("region", e))).transpose()
-}
-
 /// The level that a query selects; the longer side of the photo or region has `side` pixels.
 fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
-    if let Some(level) = pairs.get("level") {
-        let range = || Problem::parameter("level", format!("must be 0 to {LEVELS}"));
-        return level.parse().ok().filter(|l| *l <= LEVELS).ok_or_else(range);
+    if let Some(level) = pairs.number("level", &(0..=LEVELS))? {
+        return Ok(level);
     }
-    let Some(fit) = pairs.get("fit") else { return Ok(0) };
-    let range = || Problem::parameter("fit", "must be 1 to 65535 pixels");
-    let fit = fit.parse::<u16>().ok().filter(|f| *f > 0).ok_or_else(range)?;
+    let Some(fit) = pairs.number("fit", &(1..=u16::MAX))? else { return Ok(0) };
     Ok((1..=LEVELS).take_while(|l| side >> l >= u32::from(fit)).last().unwrap_or(0))
 }
 
@@ -97,7 +86,6 @@ fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
 #[utoipa::path(
     get, path = "/v1/photos/{id}/depth", tag = "photos",
     params(
-        ("id" = String, Path, description = "Id of the photo"),
         ("before" = Option<String>, Query, pattern = "^strokes$", description = "`strokes`: the map before them, at most 640 pixels a side, and \
             before its edges were snapped to the photo's"),
         ("v" = Option<String>, Query, description = "Version as in the photo's `links`"),
@@ -105,21 +93,15 @@ fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
     responses(
         (status = 200, description = "Grey PNG of 16 bits, δ = v / 65535, larger is nearer", body = String, content_type = "image/png"),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is unknown or given twice"),
         (status = 404, description = "There is no such photo, or no map before strokes: it has none, or an older program made it"),
         (status = 409, description = "Not finished yet"),
     )
 )]
-pub async fn depth(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
+pub async fn depth(State(app): State<App>, Found(photo): Found, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let mut pairs = Pairs::read(&uri, &["before", "v"])?;
-    let before = match pairs.get("before") {
-        None => false,
-        Some("strokes") => true,
-        Some(other) => return Err(Problem::parameter("before", format!("must be strokes, not {other:?}"))),
-    };
-    if !before {
-        return stored(&app, &id, &OnlyVersion(pairs.take("v")), &headers, Part::Disparity, "image/png").await;
+    let before = pairs.parse("before", "strokes", |text| (text == "strokes").then_some(()))?;
+    if before.is_none() {
+        return stored(&app, &photo, &OnlyVersion(pairs.take("v")), &headers, Part::Disparity, "image/png").await;
     }
     let (_, done) = AppState::finished(&photo)?;
     let cache_control = cache_control_for(pairs.get("v"), || app.version(&done));
@@ -133,48 +115,37 @@ pub async fn depth(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
 /// Report on how the photo was made: steps taken, steps skipped, errors and costs.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/report", tag = "photos",
-    params(
-        ("id" = String, Path, description = "Id of the photo"),
-        ("v" = Option<String>, Query, description = "Version as in the photo's `links`"),
-    ),
+    params(("v" = Option<String>, Query, description = "Version as in the photo's `links`")),
     responses(
         (status = 200, description = "The report", body = tmpi_pipeline::Report),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is unknown or given twice"),
-        (status = 404, description = "There is no such photo"),
         (status = 409, description = "Not finished yet"),
     )
 )]
-pub async fn report(State(app): State<App>, Path(id): Path<String>, v: OnlyVersion, headers: HeaderMap) -> Result<Response, Problem> {
-    stored(&app, &id, &v, &headers, Part::Report, "application/json").await
+pub async fn report(State(app): State<App>, v: OnlyVersion, Found(photo): Found, headers: HeaderMap) -> Result<Response, Problem> {
+    stored(&app, &photo, &v, &headers, Part::Report, "application/json").await
 }
 
 /// A small picture of the photo.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/thumbnail", tag = "photos",
-    params(
-        ("id" = String, Path, description = "Id of the photo"),
-        ("v" = Option<String>, Query, description = "Version as in the photo's `links`"),
-    ),
+    params(("v" = Option<String>, Query, description = "Version as in the photo's `links`")),
     responses(
         (status = 200, description = "JPEG of at most 320 pixels a side", body = String, content_type = "image/jpeg"),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is unknown or given twice"),
-        (status = 404, description = "There is no such photo"),
         (status = 409, description = "Not finished yet"),
     )
 )]
-pub async fn thumbnail(State(app): State<App>, Path(id): Path<String>, v: OnlyVersion, headers: HeaderMap) -> Result<Response, Problem> {
-    stored(&app, &id, &v, &headers, Part::Thumbnail, "image/jpeg").await
+pub async fn thumbnail(State(app): State<App>, v: OnlyVersion, Found(photo): Found, headers: HeaderMap) -> Result<Response, Problem> {
+    stored(&app, &photo, &v, &headers, Part::Thumbnail, "image/jpeg").await
 }
 
-async fn stored(app: &App, id: &str, v: &OnlyVersion, headers: &HeaderMap, part: Part, content_type: &str) -> Result<Response, Problem> {
-    let photo = app.photo(id).await?;
-    let (_, done) = AppState::finished(&photo)?;
+async fn stored(app: &App, photo: &Photo, v: &OnlyVersion, headers: &HeaderMap, part: Part, kind: &str) -> Result<Response, Problem> {
+    let (_, done) = AppState::finished(photo)?;
     let cache_control = cache_control_for(v.0.as_deref(), || app.version(&done));
-    let file = app.file(&photo, part).await?;
+    let file = app.file(photo, part).await?;
     let coding = if part == Part::Report { ContentCoding::Gzip } else { ContentCoding::Plain };
-    Ok(answer(file, headers, content_type, cache_control, coding))
+    Ok(answer(file, headers, kind, cache_control, coding))
 }
 
 fn answer(file: StoredFile, headers: &HeaderMap, content_type: &str, cache_control: &str, coding: ContentCoding) -> Response {

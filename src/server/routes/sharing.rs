@@ -1,12 +1,12 @@
 //! Links to a photo: those to read expire, those to edit are valid until they are revoked.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-use super::query::{NoBody, NoQuery, Pairs};
+use super::query::{Found, NoBody, NoQuery, Pairs};
 use crate::server::access;
 use crate::server::app_state::App;
 use crate::server::problem::Problem;
@@ -45,23 +45,16 @@ pub struct PhotoLink {
 /// can, except revoke links.
 #[utoipa::path(
     post, path = "/v1/photos/{id}/links", tag = "photos",
-    params(
-        ("id" = String, Path, description = "Id of the photo"),
-        ("seconds" = Option<u64>, Query, minimum = 1, maximum = 31_622_400, description = "Lifetime, 1 to 31622400; a day if it is not given. With open access links do not expire, and the parameter is an error"),
-    ),
+    params(("seconds" = Option<u64>, Query, minimum = 1, maximum = 31_622_400, description = "Lifetime, 1 to 31622400; a day if it is not given. With open access links do not expire, and the parameter is an error")),
     responses(
         (status = 200, description = "The link", body = PhotoLink),
         (status = 400, description = "A parameter is wrong, or there is a body"),
-        (status = 404, description = "There is no such photo"),
     )
 )]
-pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: NoBody) -> Result<Json<PhotoLink>, Problem> {
-    let photo = app.photo(&id).await?;
+pub async fn links(State(app): State<App>, Found(photo): Found, uri: Uri, _: NoBody) -> Result<Json<PhotoLink>, Problem> {
     let pairs = Pairs::read(&uri, &["seconds"])?;
     let most = app.limits.link.as_secs();
-    let wrong = |text: &str| Problem::parameter("seconds", format!("must be from 1 to {most}, not {text:?}"));
-    let read = |text: &str| text.parse().ok().filter(|n| (1..=most).contains(n)).ok_or_else(|| wrong(text));
-    let given = pairs.get("seconds").map(read).transpose()?;
+    let given = pairs.number("seconds", &(1..=most))?;
     if given.is_some() && app.guard.is_none() {
         let detail = "links do not expire on this server, which shows every photo to everyone (--access open); leave the parameter out";
         return Err(Problem::parameter("seconds", detail));
@@ -88,24 +81,15 @@ pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: 
 /// for links with `#manage=`.
 #[utoipa::path(
     post, path = "/v1/photos/{id}/manage", tag = "photos",
-    params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 204, description = "The cookie is set, if the caller sent a token and access is private"),
-        (status = 400, description = "The route takes neither parameters nor a body"),
         (status = 401, description = "The token is malformed"),
         (status = 404, description = "There is no such photo, or the token is not its own, or is revoked"),
     )
 )]
-pub async fn keep_token(
-    State(app): State<App>,
-    Path(id): Path<String>,
-    _: NoQuery,
-    headers: HeaderMap,
-    _: NoBody,
-) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?.id;
+pub async fn keep_token(_: NoQuery, Found(photo): Found, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
     let mut response = StatusCode::NO_CONTENT.into_response();
-    access::set_manage(&mut response, &headers, photo);
+    access::set_manage(&mut response, &headers, photo.id);
     Ok(response)
 }
 
@@ -114,16 +98,12 @@ pub async fn keep_token(
 /// The photo's token, also in cookies, and its unexpired links become invalid; you can make new ones. Only for its owner.
 #[utoipa::path(
     delete, path = "/v1/photos/{id}/manage", tag = "photos",
-    params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 204, description = "All links are revoked"),
-        (status = 400, description = "The route takes no parameters"),
-        (status = 404, description = "There is no such photo"),
         (status = 412, description = "The photo changed meanwhile"),
     )
 )]
-pub async fn revoke_links(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
-    let photo = app.photo(&id).await?;
+pub async fn revoke_links(State(app): State<App>, _: NoQuery, Found(photo): Found) -> Result<StatusCode, Problem> {
     app.library.revoke_links(photo.id).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -1,12 +1,13 @@
 //! Touch-up of a photo's depth.
 
-use axum::extract::{Extension, Path, Request, State};
-use axum::http::{HeaderMap, StatusCode, header};
-use axum::response::Response;
+use axum::Json;
+use axum::extract::{Extension, Request, State};
+use axum::http::{HeaderMap, header};
+use axum::response::{IntoResponse as _, Response};
 
 use super::photo_state::PhotoState;
 use super::photos::merge_patch;
-use super::query::NoQuery;
+use super::query::{Found, NoQuery};
 use super::remake;
 use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{Entity, check_if_match, insert, respond};
@@ -45,15 +46,13 @@ pub struct StrokesPatch {
 
 /// The strokes that touch up a photo's depth.
 #[utoipa::path(
-    get, path = "/v1/photos/{id}/strokes", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    get, path = "/v1/photos/{id}/strokes", tag = "photos",
     responses(
         (status = 200, description = "All strokes", body = Strokes, headers(("ETag" = String, description = "Version of the strokes"))),
         (status = 304, description = "The client has it"),
-        (status = 404, description = "There is no such photo"),
     )
 )]
-pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
+pub async fn strokes(State(app): State<App>, _: NoQuery, Found(photo): Found, headers: HeaderMap) -> Result<Response, Problem> {
     let file = stored(&app.strokes(&photo).await?);
     Ok(respond(&headers, Entity::json(file.source, &file.etag)))
 }
@@ -66,7 +65,6 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
 #[utoipa::path(
     patch, path = "/v1/photos/{id}/strokes", tag = "photos",
     params(
-        ("id" = String, Path, description = "Id of the photo"),
         ("If-Match" = Option<String>, Header, description = "Change the strokes only if they have this tag"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
     ),
@@ -77,7 +75,6 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
         (status = 202, description = "The strokes are stored, and the photo waits to be made again", body = PhotoState,
             headers(("ETag" = String, description = "Version of the strokes"))),
         (status = 400, description = "A stroke is wrong; `field` names it"),
-        (status = 404, description = "There is no such photo"),
         (status = 409, description = "The photo is being made"),
         (status = 412, description = "The strokes changed meanwhile"),
         (status = 413, description = "The patch is too large"),
@@ -88,18 +85,17 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
 )]
 pub async fn touch_up(
     State(app): State<App>,
-    Path(id): Path<String>,
     Extension(clock): Extension<TimeLimit>,
     _: NoQuery,
+    Found(photo): Found,
     request: Request,
 ) -> Result<Response, Problem> {
-    let photo = app.photo(&id).await?;
     let (headers, body) = merge_patch(request, BYTES, "strokes").await?;
     let before = app.strokes(&photo).await?;
     let wanted = patch(&body).map_err(|e| Problem::from(&e))?.unwrap_or_else(|| before.clone());
     check_if_match(&headers, &stored(&before).etag)?;
     let answer = if before == wanted {
-        remake::state(&app, &photo, StatusCode::OK).await
+        PhotoState::of(&app, &photo).await.map(|state| Json(state).into_response())
     } else {
         let requester = AppState::requester(photo.owner.clone());
         let queued = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &requester).await?;

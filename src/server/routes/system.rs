@@ -35,7 +35,6 @@ const HEALTHY: Health = Health { status: "ok", version: env!("CARGO_PKG_VERSION"
     get, path = "/healthz", tag = "system",
     responses(
         (status = 200, description = "Alive", body = Health),
-        (status = 400, description = "The route takes no parameters"),
     )
 )]
 pub async fn healthz(_: NoQuery) -> Json<Health> {
@@ -48,7 +47,6 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
     get, path = "/readyz", tag = "system",
     responses(
         (status = 200, description = "Ready", body = Health),
-        (status = 400, description = "The route takes no parameters"),
         (status = 503, description = "Not ready; `detail` says why"),
     )
 )]
@@ -71,7 +69,6 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
     get, path = "/metrics", tag = "system",
     responses(
         (status = 200, description = "OpenMetrics text 1.0.0, which Prometheus reads", body = String, content_type = "application/openmetrics-text"),
-        (status = 400, description = "The route takes no parameters"),
     )
 )]
 pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
@@ -157,7 +154,6 @@ fn of_process() -> Vec<Metric> {
     get, path = "/openapi.json", tag = "system",
     responses(
         (status = 200, description = "OpenAPI document", body = Object),
-        (status = 400, description = "The route takes no parameters"),
     )
 )]
 pub async fn openapi(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {

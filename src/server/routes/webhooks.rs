@@ -151,8 +151,6 @@ fn own(body: impl Serialize) -> Response {
     get, path = "/v1/webhooks", tag = "webhooks", operation_id = "webhook_list",
     responses(
         (status = 200, description = "The webhooks, without their secrets", body = WebhookList),
-        (status = 400, description = "There are no parameters here"),
-        (status = 403, description = "The caller is no owner"),
     )
 )]
 pub async fn list(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
@@ -164,12 +162,8 @@ pub async fn list(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Res
 /// A webhook.
 #[utoipa::path(
     get, path = "/v1/webhooks/{id}", tag = "webhooks", operation_id = "webhook_state",
-    params(("id" = String, Path, description = "Id of the webhook")),
     responses(
         (status = 200, description = "The webhook, without its secret", body = WebhookState),
-        (status = 400, description = "There are no parameters here"),
-        (status = 403, description = "The caller is no owner"),
-        (status = 404, description = "There is no such webhook"),
     )
 )]
 pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
@@ -188,13 +182,10 @@ fn changeable(webhook: &Webhook) -> Result<(), Problem> {
 /// Change a webhook, or enable it again.
 #[utoipa::path(
     patch, path = "/v1/webhooks/{id}", tag = "webhooks", operation_id = "webhook_change",
-    params(("id" = String, Path, description = "Id of the webhook")),
     request_body(content((WebhookPatch = "application/merge-patch+json"), (WebhookPatch = "application/json"))),
     responses(
         (status = 200, description = "The webhook, without its secret", body = WebhookState),
         (status = 400, description = "A field is wrong; `field` names it"),
-        (status = 403, description = "The caller is no owner"),
-        (status = 404, description = "There is no such webhook"),
         (status = 409, description = "It is from the server's configuration"),
         (status = 413, description = "The body is too large"),
         (status = 415, description = "Not JSON"),
@@ -223,12 +214,8 @@ pub async fn change(
 /// Delete a webhook, with its deliveries.
 #[utoipa::path(
     delete, path = "/v1/webhooks/{id}", tag = "webhooks", operation_id = "webhook_delete",
-    params(("id" = String, Path, description = "Id of the webhook")),
     responses(
         (status = 204, description = "Deleted"),
-        (status = 400, description = "There are no parameters here"),
-        (status = 403, description = "The caller is no owner"),
-        (status = 404, description = "There is no such webhook"),
         (status = 409, description = "It is from the server's configuration"),
     )
 )]
@@ -241,12 +228,8 @@ pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
 /// Send a `ping` event to a webhook.
 #[utoipa::path(
     post, path = "/v1/webhooks/{id}/test", tag = "webhooks", operation_id = "webhook_test",
-    params(("id" = String, Path, description = "Id of the webhook")),
     responses(
         (status = 202, description = "It is on its way; the list of deliveries tells what becomes of it", body = WebhookTest),
-        (status = 400, description = "The route takes neither parameters nor a body"),
-        (status = 403, description = "The caller is no owner"),
-        (status = 404, description = "There is no such webhook"),
         (status = 409, description = "It is disabled"),
     )
 )]
@@ -265,24 +248,18 @@ pub async fn test(State(app): State<App>, Path(id): Path<String>, _: NoQuery, he
 #[utoipa::path(
     get, path = "/v1/webhooks/{id}/deliveries", tag = "webhooks", operation_id = "webhook_deliveries",
     params(
-        ("id" = String, Path, description = "Id of the webhook"),
         ("limit" = Option<usize>, Query, minimum = 1, maximum = 200, description = "Deliveries on this page, at most 200; 50 if it is not given"),
         ("after" = Option<String>, Query, description = "Id of the last delivery of the page before"),
     ),
     responses(
         (status = 200, description = "A page of the list", body = DeliveryList),
         (status = 400, description = "A parameter is wrong"),
-        (status = 403, description = "The caller is no owner"),
-        (status = 404, description = "There is no such webhook"),
     )
 )]
 pub async fn deliveries(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     Whose::of(&app, &headers)?.find(&app, &id).await?;
     let pairs = Pairs::read(&uri, &["limit", "after"])?;
-    let limit = pairs.get("limit").map_or(Ok(USUAL_PAGE), |text| {
-        let n = text.parse().ok().filter(|n| (1..=MAX_PAGE).contains(n));
-        n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {MAX_PAGE}, not {text:?}")))
-    })?;
+    let limit = pairs.number("limit", &(1..=MAX_PAGE))?.unwrap_or(USUAL_PAGE);
     let page = app.library.deliveries(&id, pairs.get("after"), limit).await?;
     Ok(own(DeliveryList {
         next: page.next.map(|next| format!("/v1/webhooks/{id}/deliveries?limit={limit}&after={next}")),
