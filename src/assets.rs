@@ -6,13 +6,11 @@ use std::path::Path;
 pub static FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/pages.rs"));
 
 /// The contents of a file below `static/`.
-#[must_use]
 pub fn file(name: &str) -> Option<&'static [u8]> {
     FILES.binary_search_by_key(&name, |f| f.0).ok().map(|at| FILES[at].1)
 }
 
 /// Media type of a file, by its extension.
-#[must_use]
 pub fn content_type(name: &str) -> &'static str {
     match Path::new(name).extension().and_then(|e| e.to_str()).unwrap_or_default() {
         "html" => "text/html; charset=utf-8",

@@ -108,7 +108,6 @@ fn parsed() -> Result<(Option<String>, Cli), clap::Error> {
 }
 
 /// Runs the program; exit code 0, 1 (failed) or 2 (usage).
-#[must_use]
 pub fn main() -> ExitCode {
     // SAFETY: the program has no other thread yet
     #[allow(unsafe_code, reason = "the one call before all others")]

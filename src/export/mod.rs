@@ -44,13 +44,11 @@ impl ExportFormat {
     pub const ALL: [Self; 4] = [Self::Html, Self::Glb, Self::Ora, Self::Zip];
 
     /// The format of a file name extension: `html`, `glb`, `ora` or `zip`, in any case.
-    #[must_use]
     pub fn from_extension(extension: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|format| extension.eq_ignore_ascii_case(format.extension()))
     }
 
     /// File name extension.
-    #[must_use]
     pub const fn extension(self) -> &'static str {
         match self {
             Self::Html => "html",
@@ -61,7 +59,6 @@ impl ExportFormat {
     }
 
     /// Media type.
-    #[must_use]
     pub const fn media_type(self) -> &'static str {
         match self {
             Self::Html => "text/html; charset=utf-8",

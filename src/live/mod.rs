@@ -171,7 +171,6 @@ impl Drop for RoomHandle {
 
 impl Rooms {
     /// Starts without rooms.
-    #[must_use]
     pub fn new(config: Config) -> Self {
         Self {
             config,
@@ -184,14 +183,12 @@ impl Rooms {
     }
 
     /// Replaces the default limits.
-    #[must_use]
     pub fn with_limits(mut self, bounds: RoomLimits) -> Self {
         self.bounds = bounds;
         self
     }
 
     /// Shares the rooms with the library's other nodes, which reach this one at `address`.
-    #[must_use]
     pub fn shared(mut self, address: NodeAddress) -> Self {
         self.address = Some(address);
         self

@@ -58,7 +58,6 @@ impl fmt::Display for NodeAddress {
 
 impl NodeAddress {
     /// Its host, as in the `Host` header of other nodes.
-    #[must_use]
     pub fn host(&self) -> &str {
         &self.host
     }

@@ -97,13 +97,11 @@ pub struct Cursor {
 
 impl Cursor {
     /// The frame up to which the viewer has all tiles; `None` if it has none.
-    #[must_use]
     pub const fn known(&self) -> Option<u64> {
         self.known
     }
 
     /// Whether the viewer gets only sound.
-    #[must_use]
     pub const fn is_paused(&self) -> bool {
         matches!(self.visibility, Visibility::Hidden)
     }
@@ -125,13 +123,11 @@ impl Cursor {
     }
 
     /// Whether a visible viewer waits for a key frame.
-    #[must_use]
     pub const fn wants_key(&self) -> bool {
         self.waits && !self.is_paused()
     }
 
     /// The place of the same viewer at the start of another publisher's messages.
-    #[must_use]
     pub fn restarted(&self, ring: &Ring, now: Instant) -> Self {
         Self { skipped: self.skipped, visibility: self.visibility, ..ring.begin(now) }
     }
@@ -206,7 +202,6 @@ impl Ring {
     }
 
     /// The place of a viewer that joins now.
-    #[must_use]
     pub fn begin(&self, now: Instant) -> Cursor {
         let key = self.last_key();
         Cursor {

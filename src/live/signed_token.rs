@@ -4,13 +4,11 @@ use axum::http::{HeaderMap, header};
 use tmpi_library::{Grant, Link, Millis, Secret, Subject};
 
 /// A token to publish in a room, or to watch it, until `expires`, in seconds since 1970.
-#[must_use]
 pub fn room_token(key: &[u8], grant: Grant, room: &str, expires: u64) -> String {
     Secret::of_key(key).sign(grant, Subject::Room(room), expires).to_string()
 }
 
 /// Expiry of a token in seconds since 1970; `None` if the token is not valid now for this room and grant. A publisher may watch, too.
-#[must_use]
 pub fn token_expiry(key: &[u8], grant: Grant, room: &str, token: &str, now: u64) -> Option<u64> {
     let (secret, link) = (Secret::of_key(key), token.parse::<Link>().ok()?);
     let allows = |grant| secret.allows(grant, Subject::Room(room), &link, now as Millis * 1000);
@@ -23,7 +21,6 @@ const AMONG_PROTOCOLS: &str = "token.";
 pub const PROTOCOL: &str = "tmpi.live.v1";
 
 /// The token in a request's headers: a bearer token (RFC 6750), or one among the WebSocket protocols.
-#[must_use]
 pub fn token_in_headers(headers: &HeaderMap) -> Option<&str> {
     let text = |name| headers.get(name).and_then(|v: &axum::http::HeaderValue| v.to_str().ok());
     let bearer = text(header::AUTHORIZATION).and_then(|v| v.strip_prefix("Bearer "));

@@ -120,7 +120,6 @@ pub struct AppState {
 
 impl AppState {
     /// State of a server that listens at `addr`.
-    #[must_use]
     pub fn new(config: Config, addr: SocketAddr, library: Library, parts: AppParts) -> Self {
         let Config { webhook_addresses, admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
         let AppParts { maker, renderer, telemetry, openapi, sources } = parts;
@@ -173,7 +172,6 @@ impl AppState {
     }
 
     /// Result of the last check: why the library cannot be written, or what is missing to make photos.
-    #[must_use]
     pub fn storage(&self) -> Option<&'static str> {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -184,7 +182,6 @@ impl AppState {
     }
 
     /// The recent fault that kept the last job from being done. Older ones do not count: the job may be deleted.
-    #[must_use]
     pub fn trouble(&self) -> Option<String> {
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
         trouble.as_ref().filter(|(_, at)| at.elapsed() < TROUBLE).map(|(reason, _)| reason.clone())
@@ -210,7 +207,6 @@ impl AppState {
     }
 
     /// The queue's view of this request's caller.
-    #[must_use]
     pub fn requester(owner: Option<Owner>) -> Requester {
         Requester { owner, address: client_address(), trace: traces::parent() }
     }
@@ -248,7 +244,6 @@ impl AppState {
     }
 
     /// Version of everything made of a photo: differs between photos, remakes and programs.
-    #[must_use]
     pub fn version(&self, done: &FinishedPhoto) -> String {
         program_digest::of_results(&self.build, done)
     }
@@ -367,7 +362,6 @@ impl AppState {
     }
 
     /// The disk for unnamed temporary files.
-    #[must_use]
     pub fn temp_folder(&self) -> TempFolder {
         TempFolder { blobs: self.library.blobs().clone(), folder: self.scratch.clone() }
     }

@@ -32,7 +32,6 @@ impl WorkClass {
     const ALL: [Self; 3] = [Self::Interactive, Self::Derived, Self::Export];
 
     /// Name in metrics.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Interactive => "interactive",
@@ -69,7 +68,6 @@ pub struct Slot {
 
 impl BlockingPool {
     /// With the limits of a server.
-    #[must_use]
     pub fn new(limits: &Limits) -> Self {
         let lane = |slots: usize, most_waiting, seconds| Lane {
             slots: Arc::new(Semaphore::new(slots.max(1))),
@@ -92,7 +90,6 @@ impl BlockingPool {
     }
 
     /// Number of slots given out so far.
-    #[must_use]
     pub fn entered(&self) -> u64 {
         self.entered.load(Ordering::Relaxed)
     }
@@ -137,13 +134,11 @@ impl BlockingPool {
     }
 
     /// Number of waiting requests of a class.
-    #[must_use]
     pub fn waiting(&self, class: WorkClass) -> usize {
         self.lane(class).waiting.taken()
     }
 
     /// Bytes of memory given out.
-    #[must_use]
     pub fn bytes(&self) -> u64 {
         self.memory.iter().map(|m| u64::from(self.most).saturating_sub(m.available_permits() as u64) * UNIT).sum()
     }

@@ -29,7 +29,6 @@ pub enum Source {
 
 impl Source {
     /// Number of bytes.
-    #[must_use]
     pub fn len(&self) -> usize {
         match self {
             Self::Memory(bytes) => bytes.len(),

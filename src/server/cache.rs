@@ -36,13 +36,11 @@ pub struct Cache<K, V> {
 
 impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
     /// An empty cache of `budget` bytes.
-    #[must_use]
     pub fn new(budget: usize) -> Self {
         Self::built(budget, Kept::builder())
     }
 
     /// A cache in memory, which also drops entries unused for `idle_time`, at the next [`Self::evict_idle`] at the latest.
-    #[must_use]
     pub fn with_idle_timeout(budget: usize, idle_time: Duration) -> Self {
         Self::built(budget, Kept::builder().time_to_idle(idle_time))
     }
@@ -102,7 +100,6 @@ impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
     }
 
     /// Bytes of all entries.
-    #[must_use]
     pub fn bytes(&self) -> u64 {
         self.kept.weighted_size()
     }

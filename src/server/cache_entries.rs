@@ -41,14 +41,12 @@ pub enum DiskFullPolicy {
 
 impl StoredFile {
     /// Bytes tagged by their digest.
-    #[must_use]
     pub fn new(bytes: Vec<u8>) -> Self {
         let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
         Self { source: Source::Memory(bytes.into()), etag }
     }
 
     /// Bytes tagged by the hash of their inputs, a dash, and their digest.
-    #[must_use]
     pub fn derived_in_memory(made: &str, bytes: Vec<u8>) -> Self {
         let Self { source, etag } = Self::new(bytes);
         Self { source, etag: format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into() }

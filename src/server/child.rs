@@ -153,7 +153,6 @@ pub fn disable_process_inspection() {}
 impl ProcessMaker {
     /// A maker that checks photos itself, and starts a process ahead of the first photo. `arguments` is the command line of the processes
     /// without the program; their temporary files are in the data directory `data`.
-    #[must_use]
     pub fn new(checks: PipelineMaker, arguments: Vec<OsString>, data: &Path) -> Self {
         let command = Box::new(move || this_program(&arguments));
         let scratch = scratch::folder(data);
@@ -172,7 +171,6 @@ impl ProcessMaker {
     }
 
     /// The same maker, with a network that it may download while it runs.
-    #[must_use]
     pub fn with_better_network(self, better: Option<Box<dyn NetworkUpgrade>>) -> Self {
         Self { better, ..self }
     }

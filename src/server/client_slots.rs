@@ -10,13 +10,11 @@ tokio::task_local! {
 }
 
 /// Address of the client, if known.
-#[must_use]
 pub fn client_address() -> Option<IpAddr> {
     CLIENT.try_with(|address| *address).ok().flatten()
 }
 
 /// The address that stands for a customer: an IPv6 customer has a whole /64 network.
-#[must_use]
 pub fn client_network(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(v6) => Ipv6Addr::from(u128::from(v6) >> 64 << 64).into(),
@@ -48,13 +46,11 @@ pub struct ClientSlot {
 
 impl ClientSlots {
     /// So many places, of which one address can have half.
-    #[must_use]
     pub fn new(all: usize) -> Self {
         Self { all, share: all.div_ceil(2), taken: Arc::default() }
     }
 
     /// At most so many places per address.
-    #[must_use]
     pub fn per_address(share: usize) -> Self {
         Self { all: usize::MAX, share, taken: Arc::default() }
     }
@@ -64,7 +60,6 @@ impl ClientSlots {
     }
 
     /// Takes a place for `address`; `None` if all are taken, or it has its share.
-    #[must_use]
     pub fn take(&self, address: Option<IpAddr>) -> Option<ClientSlot> {
         let address = address.map(client_network);
         let mut taken = self.lock();
@@ -84,7 +79,6 @@ impl ClientSlots {
     }
 
     /// Number of places taken.
-    #[must_use]
     pub fn taken(&self) -> usize {
         self.lock().all
     }

@@ -16,7 +16,6 @@ const LEAST: usize = 1200;
 const SUFFIX: &str = "-gzip";
 
 /// Whether the client accepts gzip (RFC 9110, section 12.5.3).
-#[must_use]
 pub fn accepts_gzip(headers: &HeaderMap) -> bool {
     let (mut named, mut any) = (None, false);
     let codings = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
@@ -34,7 +33,6 @@ pub fn accepts_gzip(headers: &HeaderMap) -> bool {
 }
 
 /// `bytes` in gzip; `None` if that is not worth it.
-#[must_use]
 pub fn gzip(bytes: &[u8], level: Compression) -> Option<Bytes> {
     if bytes.len() < LEAST {
         return None;
@@ -46,7 +44,6 @@ pub fn gzip(bytes: &[u8], level: Compression) -> Option<Bytes> {
 }
 
 /// The entity tag of the compressed answer, from that of the plain one.
-#[must_use]
 pub fn gzip_etag(etag: &str) -> String {
     format!("{}{SUFFIX}\"", etag.strip_suffix('"').unwrap_or(etag))
 }

@@ -19,7 +19,6 @@ const HEADERS: usize = 20;
 pub const REVALIDATE: &str = "no-cache";
 
 /// `Cache-Control` of the answer to a request for version `asked`, if `version` is sent.
-#[must_use]
 pub fn cache_control_for(asked: Option<&str>, version: impl FnOnce() -> String) -> &'static str {
     if asked.is_some_and(|asked| asked == version()) { IMMUTABLE } else { REVALIDATE }
 }
@@ -92,14 +91,12 @@ fn without_weakness(tag: &str) -> &str {
 }
 
 /// Whether the client has this version (`If-None-Match`, weak comparison).
-#[must_use]
 pub fn matches_etag(headers: &HeaderMap, etag: &str) -> bool {
     tags(headers, header::IF_NONE_MATCH).map(without_weakness).any(|tag| tag == "*" || tag == etag)
 }
 
 /// The client's tag that begins with `made`, the name of the inputs; such tags end with a digest of the bytes. So the server can answer 304
 /// without making the bytes again.
-#[must_use]
 pub fn known_etag<'a>(headers: &'a HeaderMap, made: &str) -> Option<&'a str> {
     tags(headers, header::IF_NONE_MATCH).map(without_weakness).find(|tag| {
         let digest = tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')?.strip_prefix(made)?.strip_prefix('-'));
@@ -108,7 +105,6 @@ pub fn known_etag<'a>(headers: &'a HeaderMap, made: &str) -> Option<&'a str> {
 }
 
 /// 304 for a client that has the version `etag`.
-#[must_use]
 pub fn not_modified(etag: &str, cache_control: &str) -> Response {
     let mut response = StatusCode::NOT_MODIFIED.into_response();
     insert(&mut response, header::ETAG, etag);
@@ -117,7 +113,6 @@ pub fn not_modified(etag: &str, cache_control: &str) -> Response {
 }
 
 /// Reads `Range` and `If-Range` for `length` bytes; ignores malformed headers, other units and multiple ranges.
-#[must_use]
 pub fn requested_range(headers: &HeaderMap, etag: &str, length: usize) -> RequestedRange {
     if headers.get(header::IF_RANGE).is_some_and(|v| v.as_bytes() != etag.as_bytes()) {
         return RequestedRange::All;
@@ -166,7 +161,6 @@ pub fn check_if_match(headers: &HeaderMap, etag: &str) -> Result<(), Problem> {
 }
 
 /// Answers a GET or HEAD: 200, 206, 304, 412 or 416.
-#[must_use]
 pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
     let Entity { source, etag, content_type, cache_control, coding } = entity;
     let length = source.len();
@@ -213,7 +207,6 @@ pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
 }
 
 /// Answers with text without an entity tag, in gzip if the client accepts it.
-#[must_use]
 pub fn respond_uncached(headers: &HeaderMap, bytes: Bytes, content_type: &str) -> Response {
     let coded = ContentCoding::Gzip.for_client(headers, &bytes.clone().into());
     let is_coded = coded.is_some();

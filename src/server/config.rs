@@ -64,7 +64,6 @@ pub struct Config {
 
 impl Config {
     /// Open access and default limits.
-    #[must_use]
     pub fn new(addr: SocketAddr, data: PathBuf) -> Self {
         Self {
             addr,

@@ -9,7 +9,6 @@ use tmpi_library::Photo;
 const CODED: AsciiSet = NON_ALPHANUMERIC.remove(b'.').remove(b'_').remove(b'-');
 
 /// `Content-Disposition` (RFC 6266) of a download: named by the photo's title, else by its id.
-#[must_use]
 pub fn content_disposition(photo: &Photo, ending: &str) -> String {
     let id = photo.id.to_string();
     let stem = photo.title().map(stem).filter(|stem| !stem.is_empty());

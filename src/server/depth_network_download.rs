@@ -59,7 +59,6 @@ impl Download {
     }
 
     /// Its state.
-    #[must_use]
     pub fn state(&self) -> DownloadState {
         self.lock().clone()
     }

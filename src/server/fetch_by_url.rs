@@ -106,13 +106,11 @@ pub struct Sources {
 
 impl Sources {
     /// From these hosts, at addresses within `reach`.
-    #[must_use]
     pub const fn new(hosts: Vec<SourceHost>, reach: AddressPolicy) -> Self {
         Self { hosts, outbound: Outbound::new(reach) }
     }
 
     /// Whether any host is listed.
-    #[must_use]
     pub const fn is_on(&self) -> bool {
         !self.hosts.is_empty()
     }

@@ -22,19 +22,16 @@ pub struct FinishedPhoto {
 
 impl FinishedPhoto {
     /// The details for the library.
-    #[must_use]
     pub fn details(width: u32, height: u32) -> serde_json::Value {
         serde_json::json!({ "width": width, "height": height })
     }
 
     /// Memory for work on the scene, in bytes.
-    #[must_use]
     pub fn scene_bytes(&self) -> u64 {
         SCENE_BYTES * u64::from(self.width) * u64::from(self.height) + self.atlas_bytes
     }
 
     /// Details of a photo; `None` if it is not finished.
-    #[must_use]
     pub fn of(photo: &Photo) -> Option<Self> {
         let (details, container) = (photo.details.as_ref()?, photo.blobs.get(&Part::Container)?);
         let side = |name: &str| details.get(name)?.as_u64()?.try_into().ok();

@@ -22,13 +22,11 @@ pub struct Hosts {
 
 impl Hosts {
     /// Loopback names, the address that the server is bound to (any address if it is bound to all), and `names` without ports.
-    #[must_use]
     pub fn new(bound: SocketAddr, names: &[String]) -> Self {
         Self { bound: bound.ip(), names: names.iter().map(|n| plain(n)).collect() }
     }
 
     /// The first of the given names.
-    #[must_use]
     pub fn first(&self) -> Option<&str> {
         self.names.first().map(String::as_str)
     }
@@ -50,7 +48,6 @@ impl Hosts {
     }
 
     /// Whether the server answers under this name.
-    #[must_use]
     pub fn allows(&self, host: &str) -> bool {
         let host = plain(host);
         if is_loopback_name(&host) || self.names.contains(&host) {
@@ -62,7 +59,6 @@ impl Hosts {
 
     /// Whether the request seems to come from this machine's own user: the server is bound to loopback, the `Host` is a loopback name, and
     /// no proxy forwarded it.
-    #[must_use]
     pub fn is_own(&self, headers: &HeaderMap) -> bool {
         let host = headers.get(header::HOST).and_then(|v| v.to_str().ok()).and_then(|v| v.parse::<Authority>().ok());
         let local = |host: Authority| {
@@ -80,7 +76,6 @@ tokio::task_local! {
 
 /// `scheme://host` of this server as the client sees it: from `Host`, which [`Hosts::check`] has checked, from the connection, and from the
 /// scheme that a proxy names (`X-Forwarded-Proto`). `None` without a valid `Host`.
-#[must_use]
 pub fn origin(headers: &HeaderMap) -> Option<String> {
     let host: Authority = headers.get(header::HOST)?.to_str().ok()?.parse().ok().filter(|host: &Authority| !host.host().is_empty())?;
     let named = headers.get("x-forwarded-proto").and_then(|v| v.to_str().ok());

@@ -275,7 +275,6 @@ impl Limits {
 
     /// Limits of a server with `memory` bytes for itself and the processes that make photos: a sixteenth for the program, a sixteenth for
     /// all caches and half of that for work on scenes, which take turns with photos, whose own bound is above their actual use.
-    #[must_use]
     pub fn of_memory(memory: u64) -> Self {
         let usual = Self::default();
         let share = |of: u64, most: usize| ((memory / of) as usize).min(most);
@@ -289,7 +288,6 @@ impl Limits {
     }
 
     /// Limits of the library.
-    #[must_use]
     pub fn library(&self) -> tmpi_library::Limits {
         tmpi_library::Limits {
             queue: self.queue as u64,
@@ -306,19 +304,16 @@ impl Limits {
     }
 
     /// Space to keep free on the disk.
-    #[must_use]
     pub fn reserve(&self) -> Reserve {
         Reserve { bytes: some(self.least_free), files: some(self.least_free_files) }
     }
 
     /// Limits of a photo.
-    #[must_use]
     pub fn photo(&self) -> photo::Limits {
         photo::Limits { bytes: self.body, pixels: self.pixels, memory: self.job_memory, ..photo::Limits::default() }
     }
 
     /// Time limit of making a photo.
-    #[must_use]
     pub fn time_for(&self, photo: &[u8]) -> Duration {
         let pixels = photo::check(photo, &self.photo()).map_or(0, |(_, (w, h))| u64::from(w) * u64::from(h));
         self.job.mul_f64((pixels as f64 / Self::JOB_PIXELS as f64).max(1.0))

@@ -42,7 +42,6 @@ pub struct PreviewCard {
 
 impl PreviewCard {
     /// The card for this request's caller, who knows the server as `base`. If a link gave the caller access, all addresses contain it.
-    #[must_use]
     pub fn of(app: &AppState, photo: &Photo, base: String) -> Self {
         let (settings, link) = (Settings::of(photo), access::link());
         let view = FinishedPhoto::of(photo).map(|done| {
@@ -57,13 +56,11 @@ impl PreviewCard {
     }
 
     /// The title.
-    #[must_use]
     pub fn title(&self) -> &str {
         &self.title
     }
 
     /// The photo's preview view as a JPEG of the same aspect ratio, within `most` and not enlarged; `None` until the photo is made.
-    #[must_use]
     pub fn picture(&self, most: (u32, u32)) -> Option<Picture> {
         let (address, size) = self.view.as_ref()?;
         let (width, height) = within(*size, most);
@@ -71,7 +68,6 @@ impl PreviewCard {
     }
 
     /// HTML of a frame with the photo within `most`, and its size.
-    #[must_use]
     pub fn frame(&self, most: (u32, u32)) -> (String, u32, u32) {
         let (width, height) = within(self.view.as_ref().map_or(most, |(_, size)| *size), most);
         let html = format!(
@@ -86,7 +82,6 @@ impl PreviewCard {
     }
 
     /// The viewer's page with the photo's title and the card's tags in its head.
-    #[must_use]
     pub fn insert_tags(&self, page: &str) -> String {
         let title = escaped(&self.title);
         let titled = match (page.find("<title>"), page.find("</title>")) {

@@ -135,19 +135,16 @@ pub struct PipelineMaker {
 
 impl PipelineMaker {
     /// A maker with these networks and limits.
-    #[must_use]
     pub fn new(models: Models, limits: photo::Limits) -> Self {
         Self { models, limits, identity: program_digest::PIPELINE.into() }
     }
 
     /// Memory for making photos, in bytes.
-    #[must_use]
     pub fn max_memory(&self) -> u64 {
         self.limits.memory
     }
 
     /// With networks that `text` identifies.
-    #[must_use]
     pub fn with_identity(self, text: &str) -> Self {
         Self { identity: format!("{} {text}", program_digest::PIPELINE), ..self }
     }

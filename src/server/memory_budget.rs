@@ -48,7 +48,6 @@ impl Drop for MemoryPermit<'_> {
 
 impl MemoryBudget {
     /// A pool of so many bytes.
-    #[must_use]
     pub fn new(all: u64) -> Self {
         Self { all, allocated: Mutex::default(), freed: Condvar::new() }
     }
@@ -82,7 +81,6 @@ impl MemoryBudget {
     }
 
     /// Bytes given out.
-    #[must_use]
     pub fn taken(&self) -> u64 {
         self.lock().taken
     }

@@ -126,13 +126,11 @@ impl Telemetry {
     }
 
     /// Creates spans; `None` without a collector.
-    #[must_use]
     pub const fn traces(&self) -> Option<&Traces> {
         self.traces.as_ref()
     }
 
     /// Starts the span of making a photo, for the `attempt`th time from 1, within `parent`.
-    #[must_use]
     pub fn begin_job(&self, parent: Option<&str>, id: PhotoId, attempt: u32) -> JobSpan {
         self.traces.as_ref().map_or_else(JobSpan::default, |traces| traces.job(parent, id, attempt))
     }

@@ -187,33 +187,28 @@ impl Server {
     }
 
     /// Adds rooms.
-    #[must_use]
     pub fn with_rooms(mut self, rooms: Rooms) -> Self {
         self.rooms = Some(Arc::new(rooms));
         self
     }
 
     /// Adds TLS, with HTTP/2 for clients that support it.
-    #[must_use]
     pub fn with_tls(mut self, tls: Tls) -> Self {
         self.tls = Some(tls);
         self
     }
 
     /// `http` or `https`.
-    #[must_use]
     pub const fn scheme(&self) -> &'static str {
         if self.tls.is_some() { "https" } else { "http" }
     }
 
     /// Address that the server listens on.
-    #[must_use]
     pub const fn addr(&self) -> SocketAddr {
         self.addr
     }
 
     /// Address of the admin listener, if any.
-    #[must_use]
     pub fn admin_addr(&self) -> Option<SocketAddr> {
         self.admin.as_ref().map(|(_, addr, _)| *addr)
     }

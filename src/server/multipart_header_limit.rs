@@ -46,7 +46,6 @@ pub struct LimitedHeaders<S> {
 
 impl<S> LimitedHeaders<S> {
     /// A form whose parts are separated by `boundary`.
-    #[must_use]
     pub fn new(stream: S, boundary: &str) -> Self {
         let finder = |text: &str| Finder::new(text).into_owned();
         Self {

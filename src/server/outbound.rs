@@ -74,7 +74,6 @@ const TRANSLATED: Ipv6Net = six(0x64, 0xff9b, 96);
 const SIX_TO_FOUR: Ipv6Net = six(0x2002, 0, 16);
 
 /// Whether an address belongs to the public Internet. An address of IPv6 that holds one of IPv4 is public if that one is.
-#[must_use]
 pub fn is_public(address: IpAddr) -> bool {
     match address.to_canonical() {
         IpAddr::V4(v4) => !SPECIAL_4.iter().any(|net| net.contains(&v4)),
@@ -146,7 +145,6 @@ fn public_of(all: impl Iterator<Item = SocketAddr>) -> Result<Vec<SocketAddr>, N
 struct NotPublic;
 
 /// Whether a request failed because its name has no public address.
-#[must_use]
 pub fn is_not_public(error: &reqwest::Error) -> bool {
     anyhow::Chain::new(error).any(<dyn std::error::Error>::is::<NotPublic>)
 }
@@ -161,7 +159,6 @@ pub struct Outbound {
 
 impl Outbound {
     /// To addresses within `reach`.
-    #[must_use]
     pub const fn new(reach: AddressPolicy) -> Self {
         Self { reach, client: OnceLock::new() }
     }
@@ -173,7 +170,6 @@ impl Outbound {
     }
 
     /// Which addresses it reaches.
-    #[must_use]
     pub const fn reach(&self) -> AddressPolicy {
         self.reach
     }
@@ -204,7 +200,6 @@ pub fn builder(reach: AddressPolicy) -> ClientBuilder {
 }
 
 /// The innermost cause of a request's error, without its URL, which may hold a secret.
-#[must_use]
 pub fn cause(error: reqwest::Error) -> String {
     anyhow::Error::from(error.without_url()).root_cause().to_string()
 }

@@ -62,13 +62,11 @@ pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Probl
 }
 
 /// The view box among options as text; the default if there is none.
-#[must_use]
 pub fn view_box_of(text: &BTreeMap<String, String>) -> ViewBox {
     text.get("view-box").and_then(|v| view_box("view-box", v).ok()).unwrap_or_default()
 }
 
 /// All options as text; [`set`] reads every pair back. Equal options have equal text.
-#[must_use]
 pub fn to_text(options: &Options) -> BTreeMap<String, String> {
     let o = options;
     let planes = match o.planes {
@@ -103,7 +101,6 @@ pub fn to_text(options: &Options) -> BTreeMap<String, String> {
 }
 
 /// The canonical text of [`to_text`] as one string, for hashing.
-#[must_use]
 pub fn canonical(text: &BTreeMap<String, String>) -> String {
     text.iter().fold(String::new(), |s, (k, v)| s + k + "=" + v + "\n")
 }

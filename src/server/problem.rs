@@ -85,21 +85,18 @@ impl Problem {
     }
 
     /// Names the field at fault.
-    #[must_use]
     pub fn field(mut self, name: impl Into<String>) -> Self {
         self.field = Some(clipped(name.into(), MAX_NAME).into());
         self
     }
 
     /// Adds a header, if `value` is valid.
-    #[must_use]
     pub fn header(mut self, name: HeaderName, value: &str) -> Self {
         self.header = HeaderValue::from_str(value).ok().map(|value| Box::new((name, value)));
         self
     }
 
     /// Sets `Retry-After`.
-    #[must_use]
     pub fn retry_after(mut self, seconds: u64) -> Self {
         self.retry_after = Some(seconds);
         self
@@ -123,14 +120,12 @@ impl Problem {
     }
 
     /// The route does not have the method. `allow` lists those that it has, unless the router does.
-    #[must_use]
     pub fn no_method(method: &Method, allow: Option<&str>) -> Self {
         let problem = Self::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"));
         if let Some(allow) = allow { problem.header(header::ALLOW, allow) } else { problem }
     }
 
     /// The body is larger than `limit` bytes.
-    #[must_use]
     pub fn too_large(limit: usize) -> Self {
         Self::new(
             StatusCode::PAYLOAD_TOO_LARGE,
@@ -146,7 +141,6 @@ impl Problem {
     }
 
     /// The disk is full.
-    #[must_use]
     pub fn full() -> Self {
         Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-full", "the data directory has no room left")
     }
@@ -161,14 +155,12 @@ impl Problem {
     }
 
     /// The library's record of a failed job.
-    #[must_use]
     pub fn to_library(&self) -> tmpi_library::Problem {
         let kind = self.kind.strip_prefix(KINDS).unwrap_or(&self.kind);
         tmpi_library::Problem { kind: kind.to_owned(), detail: self.detail.to_string(), field: self.field.as_deref().map(str::to_owned) }
     }
 
     /// The problem of a failed job, from the library's record.
-    #[must_use]
     pub fn of_library(kept: &tmpi_library::Problem) -> Self {
         let status = match kept.kind.as_str() {
             "parameter" | "bad-request" => StatusCode::BAD_REQUEST,
@@ -192,13 +184,11 @@ impl Problem {
     }
 
     /// Why a photo failed, or which part is damaged.
-    #[must_use]
     pub fn of_photo(photo: &tmpi_library::Photo) -> Self {
         photo.problem.as_ref().map_or_else(|| Self::internal("a photo", &"it failed without a reason"), Self::of_library)
     }
 
     /// The HTTP status.
-    #[must_use]
     pub fn status(&self) -> StatusCode {
         StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
     }

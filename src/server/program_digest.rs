@@ -12,19 +12,16 @@ pub const PIPELINE: &str = env!("TMPI_PIPELINE");
 const PROGRAM: &str = env!("TMPI_PROGRAM");
 
 /// Everything besides the container that a server's views, levels and exports depend on.
-#[must_use]
 pub fn of_server(backend: &str) -> String {
     format!("{PROGRAM} {backend}")
 }
 
 /// Names everything that a server of identity `build` derives from one version of a photo: 16 hex digits.
-#[must_use]
 pub fn of_results(build: &str, done: &FinishedPhoto) -> String {
     short(&format!("{build} {} {}", done.atlas_hash, done.at_ms))
 }
 
 /// The first 64 bits of the SHA-256 of `text`, in hex.
-#[must_use]
 pub fn short(text: &str) -> String {
     hex(&Sha256::digest(text)[..8])
 }

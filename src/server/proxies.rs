@@ -39,19 +39,16 @@ pub struct Proxies {
 
 impl Proxies {
     /// Trusts proxies in `networks`.
-    #[must_use]
     pub fn new(networks: &[Network]) -> Self {
         Self { networks: networks.iter().flat_map(|network| network.0.iter().copied()).collect() }
     }
 
     /// Whether a peer is a trusted proxy.
-    #[must_use]
     pub fn trusts(&self, peer: IpAddr) -> bool {
         self.networks.iter().any(|network| network.contains(&peer.to_canonical()))
     }
 
     /// The client of a request from `peer`: the last address on its way that is not a trusted proxy, or the first of all.
-    #[must_use]
     pub fn client(&self, peer: IpAddr, headers: &HeaderMap) -> IpAddr {
         if !self.trusts(peer) {
             return peer;

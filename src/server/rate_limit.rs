@@ -34,7 +34,6 @@ pub enum RateKey {
 
 impl RateKey {
     /// By the name of a key, else by address; `None` if neither is known.
-    #[must_use]
     pub fn of(key: Option<String>, address: Option<IpAddr>) -> Option<Self> {
         key.map(Self::Key).or_else(|| address.map(client_network).map(Self::Address))
     }
@@ -111,7 +110,6 @@ pub struct RateHeaders(Vec<BucketState>);
 
 impl RateLimiter {
     /// The rates of `limits`.
-    #[must_use]
     pub fn new(limits: &limits::Rates) -> Self {
         Self {
             requests: Buckets::new("requests", limits.requests),

@@ -40,14 +40,12 @@ pub enum CutOff {
 
 impl CutOff {
     /// The [`CutOff`] in the chain of causes of `error`.
-    #[must_use]
     pub fn find(error: &(dyn Error + 'static)) -> Option<Self> {
         Chain::new(error).find_map(|cause| cause.downcast_ref::<Self>()).copied()
     }
 }
 
 /// The answer to a body that cannot be read.
-#[must_use]
 pub fn problem(error: &(dyn Error + 'static)) -> Problem {
     match CutOff::find(error) {
         Some(CutOff::TooLarge(limit)) => Problem::too_large(limit),
@@ -97,7 +95,6 @@ pub fn json_parameters(body: &[u8]) -> Result<Vec<(String, String)>, Problem> {
 }
 
 /// The media type in a `Content-Type` in lower case, without its parameters; empty if there is none.
-#[must_use]
 pub fn media_type(content_type: Option<&HeaderValue>) -> String {
     let text = content_type.and_then(|value| value.to_str().ok()).unwrap_or_default();
     text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
@@ -113,7 +110,6 @@ pub struct UnreadBody {
 
 impl UnreadBody {
     /// Whether the whole body has arrived.
-    #[must_use]
     pub fn ended(&self) -> bool {
         self.ended.load(Ordering::Acquire)
     }
@@ -143,7 +139,6 @@ pub struct LimitedBody {
 
 impl LimitedBody {
     /// Bounds `inner` by `limits`; starts `clock` when the body ends or is dropped.
-    #[must_use]
     pub fn new(inner: Body, limits: &Limits, clock: TimeLimit) -> (Self, UnreadBody) {
         let rest = UnreadBody::default();
         if inner.is_end_stream() {

@@ -43,7 +43,6 @@ pub struct OpenStream {
 
 impl Streams {
     /// Of a new connection.
-    #[must_use]
     pub fn new() -> Arc<Self> {
         Arc::new(Self(Mutex::new(State { next: 0, open: BTreeMap::new(), idle: Instant::now() })))
     }
@@ -53,7 +52,6 @@ impl Streams {
     }
 
     /// Adds a request.
-    #[must_use]
     pub fn open(self: &Arc<Self>) -> OpenStream {
         let mut state = self.lock();
         state.next += 1;
@@ -65,7 +63,6 @@ impl Streams {
 
     /// State at `now`. A client may read nothing for `limit`, or longer if it reads `rate` bytes a second; a connection may have no request
     /// for `idle`.
-    #[must_use]
     pub fn check(&self, now: Instant, limit: Duration, rate: u64, idle: Duration) -> StreamHealth {
         let state = self.lock();
         let for_longer_than = |since: &Instant, time| now.saturating_duration_since(*since) > time;

@@ -17,7 +17,6 @@ struct State {
 
 impl TimeLimit {
     /// A clock of `limit` that is not started.
-    #[must_use]
     pub fn new(limit: Duration) -> Self {
         Self(watch::Sender::new(State { limit, started: None }))
     }
@@ -35,7 +34,6 @@ impl TimeLimit {
     }
 
     /// When the time is over; `None` before it starts.
-    #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
         let state = self.0.borrow();
         state.started.map(|at| at + state.limit)

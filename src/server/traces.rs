@@ -105,7 +105,6 @@ impl Traces {
     }
 
     /// Starts the span of a request, within its `traceparent`; none for monitoring routes.
-    #[must_use]
     pub fn request(&self, method: &'static str, route: &str, headers: &HeaderMap, peer: Option<IpAddr>) -> Context {
         if HEALTH.contains(&route) {
             return Context::new();
@@ -117,7 +116,6 @@ impl Traces {
     }
 
     /// Starts the span of making a photo, within the span that [`parent`] told, if any.
-    #[must_use]
     pub fn job(&self, parent: Option<&str>, id: PhotoId, attempt: u32) -> JobSpan {
         let attributes = [
             KeyValue::new("tmpi.photo", id.to_string()),
@@ -153,13 +151,11 @@ fn child(outer: &Context, name: &'static str, attributes: Option<KeyValue>) -> C
 }
 
 /// Starts the span of work of a class within this task's request.
-#[must_use]
 pub fn work(class: &'static str) -> Context {
     child(&Context::current(), "work", Some(KeyValue::new("tmpi.job.class", class)))
 }
 
 /// This task's request as the parent of a job: its `traceparent`.
-#[must_use]
 pub fn parent() -> Option<String> {
     let mut carrier = HashMap::new();
     TraceContextPropagator::new().inject_context(&Context::current(), &mut carrier);
@@ -167,7 +163,6 @@ pub fn parent() -> Option<String> {
 }
 
 /// Id of the trace, 32 hex digits.
-#[must_use]
 pub fn trace_id(context: &Context) -> Option<String> {
     context.has_active_span().then(|| context.span().span_context().trace_id().to_string())
 }

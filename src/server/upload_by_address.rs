@@ -43,7 +43,6 @@ pub struct SourceOrder {
 }
 
 /// Whether a request names the address of a photo instead of sending the photo.
-#[must_use]
 pub fn is_address(headers: &HeaderMap) -> bool {
     let mut kinds = headers.get_all(header::CONTENT_TYPE).iter().peekable();
     kinds.peek().is_some() && kinds.all(|kind| media_type(Some(kind)) == "application/json")

@@ -46,7 +46,6 @@ impl UploadFields {
 }
 
 /// Parses a class: `interactive` or `batch`.
-#[must_use]
 pub fn class_of(name: &str) -> Option<Class> {
     [Class::Interactive, Class::Batch].into_iter().find(|class| class.name() == name)
 }

@@ -21,7 +21,6 @@ pub struct UploadHead {
 
 impl UploadHead {
     /// Nothing has come yet.
-    #[must_use]
     pub fn new(maker: &Arc<dyn Maker>) -> Self {
         Self { maker: Arc::clone(maker), head: Vec::new(), needs: Some(LEAST) }
     }

@@ -112,7 +112,6 @@ impl Default for Settings {
 
 impl Settings {
     /// Settings of a photo.
-    #[must_use]
     pub fn of(photo: &Photo) -> Self {
         serde_json::from_value(photo.settings.clone()).unwrap_or_else(|error| {
             tracing::error!(id = %photo.id, %error, "ignoring unreadable settings");
@@ -121,13 +120,11 @@ impl Settings {
     }
 
     /// The settings as the library stores them.
-    #[must_use]
     pub fn to_value(&self) -> Value {
         serde_json::to_value(self).unwrap_or_default()
     }
 
     /// These settings with the title and visibility that an upload of the same photo gives.
-    #[must_use]
     pub fn overridden_by(&self, given: &Self) -> Self {
         let (title, visibility) = (given.title.clone().or_else(|| self.title.clone()), given.visibility.or(self.visibility));
         Self { title, visibility, ..self.clone() }
@@ -180,13 +177,11 @@ impl Settings {
     }
 
     /// Query of the preview view; `None` if it is the thumbnail.
-    #[must_use]
     pub fn poster_query(&self, view_box: &ViewBox) -> Option<String> {
         self.poster_pose(view_box).map(|pose| format!("{pose}w=640&format=jpeg"))
     }
 
     /// The camera of the preview view, as the start of a query; `None` if it is the photo's own.
-    #[must_use]
     pub fn poster_pose(&self, view_box: &ViewBox) -> Option<String> {
         let at = self.poster?;
         let pose = looking_at(self.focus.unwrap_or(PIVOT), at.x * view_box.x, at.y * view_box.y, at.z * view_box.z);
@@ -203,7 +198,6 @@ impl Settings {
 }
 
 /// A title from a file name, without folders and extension; `None` if a program made up the name.
-#[must_use]
 pub fn title_of_file(name: &str) -> Option<String> {
     // some browsers sent whole paths, with either kind of slash
     let name = name.rsplit(['/', '\\']).next().unwrap_or_default();

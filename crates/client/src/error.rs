@@ -63,7 +63,6 @@ pub enum Error {
 
 impl Error {
     /// HTTP status of the server's refusal, or `None` for all other errors.
-    #[must_use]
     pub fn status(&self) -> Option<u16> {
         if let Self::Problem(problem) | Self::Photo { problem, .. } = self { Some(problem.status) } else { None }
     }

@@ -139,13 +139,11 @@ impl Client {
     }
 
     /// The owner's secret, if the client has one. Keep it like a password.
-    #[must_use]
     pub fn secret(&self) -> Option<&str> {
         self.secret.as_deref()
     }
 
     /// Sets the longest total wait for retries; the default is a minute, zero disables retries.
-    #[must_use]
     pub fn patience(mut self, most: Duration) -> Self {
         self.patience = most;
         self

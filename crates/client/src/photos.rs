@@ -24,39 +24,33 @@ pub struct Upload {
 
 impl Upload {
     /// Uploads a photo: JPEG, PNG or WebP.
-    #[must_use]
     pub fn of(photo: impl Into<Bytes>) -> Self {
         Self { photo: photo.into(), ..Self::default() }
     }
 
     /// Adds a depth map, a grey picture, which replaces the estimated depth.
-    #[must_use]
     pub fn depth(mut self, map: impl Into<Bytes>) -> Self {
         self.depth = Some(map.into());
         self
     }
 
     /// Sets the photo's title, 1 to 200 characters.
-    #[must_use]
     pub fn title(self, title: &str) -> Self {
         self.option("title", title)
     }
 
     /// Sets who may see the photo, on a server with authentication.
-    #[must_use]
     pub fn visibility(self, who: Visibility) -> Self {
         self.option("visibility", if who == Visibility::Link { "link" } else { "private" })
     }
 
     /// Sets an upload option by name, for example `max_size` or `planes`. The server's `OpenAPI` document lists all of them.
-    #[must_use]
     pub fn option(mut self, name: &str, value: &str) -> Self {
         self.options.push((name.to_owned(), value.to_owned()));
         self
     }
 
     /// Waits up to this long for the server to process the photo.
-    #[must_use]
     pub fn wait(mut self, most: Duration) -> Self {
         self.wait = Some(most);
         self

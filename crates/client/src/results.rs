@@ -33,26 +33,22 @@ pub struct View {
 
 impl View {
     /// A view of this size in pixels, from the photo's reference camera.
-    #[must_use]
     pub fn new(width: u32, height: u32) -> Self {
         Self { pairs: Vec::new() }.with("w", &width).with("h", &height)
     }
 
     /// Moves the camera right, down and forward, within the photo's view box. Units are metres in a scene whose nearest surface is 1 m
     /// away.
-    #[must_use]
     pub fn at(self, x: f64, y: f64, z: f64) -> Self {
         self.with("tx", &x).with("ty", &y).with("tz", &z)
     }
 
     /// Sets the picture format: `jpeg`, `png` or `webp`.
-    #[must_use]
     pub fn format(self, name: &str) -> Self {
         self.with("format", &name)
     }
 
     /// Sets a view parameter by name. The server's `OpenAPI` document lists all of them.
-    #[must_use]
     pub fn with(mut self, name: &str, value: &impl ToString) -> Self {
         self.pairs.push((name.to_owned(), value.to_string()));
         self
@@ -67,19 +63,16 @@ pub struct Export {
 
 impl Export {
     /// An export in this format: `html`, `glb`, `ora` or `zip`; with [`Export::along`] also `webp` or `mp4`.
-    #[must_use]
     pub fn new(format: &str) -> Self {
         Self { pairs: vec![("format".to_owned(), format.to_owned())] }
     }
 
     /// Exports a film of this many frames, at 30 per second, along a camera path: `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom`.
-    #[must_use]
     pub fn along(self, path: &str, frames: u32) -> Self {
         self.with("path", &path).with("frames", &frames)
     }
 
     /// Sets an export parameter by name. The server's `OpenAPI` document lists all of them.
-    #[must_use]
     pub fn with(mut self, name: &str, value: &impl ToString) -> Self {
         self.pairs.push((name.to_owned(), value.to_string()));
         self

@@ -45,7 +45,6 @@ pub struct Decoder {
 
 impl Decoder {
     /// A decoder without a container.
-    #[must_use]
     pub const fn new() -> Self {
         let photo = PhotoRows { width: 0, height: 0, top: 0, rgb: Vec::new() };
         let texels = Texels { class: Vec::new(), alpha: Vec::new(), hidden: Vec::new() };
@@ -128,7 +127,6 @@ impl Decoder {
     }
 
     /// The bytes of the result with the number of an [`Output`].
-    #[must_use]
     pub fn output(&self, what: u32) -> &[u8] {
         const OUTPUTS: [Output; 6] = [Output::Text, Output::Numbers, Output::Class, Output::Alpha, Output::Hidden, Output::Strip];
         match OUTPUTS.into_iter().find(|o| *o as u32 == what) {

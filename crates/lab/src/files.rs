@@ -53,7 +53,6 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), LabError> {
 }
 
 /// The last part of a path.
-#[must_use]
 pub fn name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }

@@ -52,13 +52,11 @@ impl Ghosts {
     }
 
     /// Share of silhouettes with a visible ghost, 0 to 1.
-    #[must_use]
     pub fn share(&self) -> f64 {
         self.seen as f64 / self.places.max(1) as f64
     }
 
     /// Mean residue per silhouette, in levels.
-    #[must_use]
     pub fn mean(&self) -> f64 {
         self.residue / self.places.max(1) as f64
     }
@@ -83,7 +81,6 @@ struct Silhouette {
 
 impl Subject<'_> {
     /// Measures ghosts in a view of the photo's size, whose camera moved sideways by `tx`, in units of the nearest distance.
-    #[must_use]
     pub fn ghosts(&self, view: &[[u8; 3]], tx: f64) -> Ghosts {
         let width = self.photo.width as usize;
         let rows: Vec<Vec<Silhouette>> = (0..self.photo.height as usize)

@@ -20,13 +20,11 @@ impl Estimator for OracleDepth {
 }
 
 /// Models whose depth is empty, for measurements that estimate none.
-#[must_use]
 pub fn none() -> Models {
     models(OracleDepth(DisparityMap { width: 0, height: 0, delta: Vec::new() }))
 }
 
 /// This source of depth, and no other networks.
-#[must_use]
 pub fn models(depth: impl Estimator + 'static) -> Models {
     Models { depth: Arc::new(depth), theta: None, psi: None }
 }

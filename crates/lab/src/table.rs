@@ -2,7 +2,6 @@
 
 /// Formats rows as a table whose columns are as wide as their widest cell. The first `left` columns are words, aligned to the left; the
 /// others are numbers, aligned to the right.
-#[must_use]
 pub fn table(left: usize, rows: &[Vec<String>]) -> String {
     let mut widths = Vec::new();
     for row in rows {
@@ -19,7 +18,6 @@ pub fn table(left: usize, rows: &[Vec<String>]) -> String {
 }
 
 /// A row of these cells.
-#[must_use]
 pub fn row<const N: usize>(cells: [&str; N]) -> Vec<String> {
     cells.map(str::to_owned).into()
 }

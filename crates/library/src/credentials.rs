@@ -60,7 +60,6 @@ pub struct Key {
 
 impl Key {
     /// Whether it has a scope; `Admin` has all.
-    #[must_use]
     pub fn may(&self, scope: Scope) -> bool {
         self.scopes.contains(&scope) || self.scopes.contains(&Scope::Admin)
     }

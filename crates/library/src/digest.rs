@@ -10,26 +10,22 @@ pub struct Digest(String);
 
 impl Digest {
     /// The digest of `bytes`.
-    #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         Self(hex(&Sha256::digest(bytes)))
     }
 
     /// From the 32 bytes of a SHA-256.
-    #[must_use]
     pub fn from_bytes(bytes: &[u8; 32]) -> Self {
         Self(hex(bytes))
     }
 
     /// 64 hex digits.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
 }
 
 /// Lower-case hex of `bytes`.
-#[must_use]
 pub fn hex(bytes: &[u8]) -> String {
     let digit = |v: u8| char::from(if v < 10 { b'0' + v } else { b'a' + v - 10 });
     bytes.iter().flat_map(|b| [digit(b >> 4), digit(b & 15)]).collect()

@@ -18,14 +18,12 @@ pub struct PhotoId([u8; 16]);
 
 impl PhotoId {
     /// From its bytes.
-    #[must_use]
     pub const fn from_bytes(bytes: [u8; 16]) -> Self {
         Self(bytes)
     }
 
     /// The id of a content: the digests of photo and depth map, the options in their canonical text, and the identity of the pipeline.
     /// See [`Secret::photo_id`](crate::Secret::photo_id) for an id that others cannot derive from the content.
-    #[must_use]
     pub fn of_content(photo: &Digest, depth: Option<&Digest>, options: &str, pipeline: &str) -> Self {
         let mut hash = Sha256::new();
         for part in ["tmpi photo 3", photo.as_str(), depth.map_or("", Digest::as_str), options, pipeline] {

@@ -208,7 +208,6 @@ impl Library {
 
 impl Lease {
     /// How long it lasts without renewal.
-    #[must_use]
     pub const fn lasts(&self) -> Duration {
         self.lasts
     }

@@ -146,7 +146,6 @@ impl fmt::Debug for Config {
 
 impl Config {
     /// Everything in one folder.
-    #[must_use]
     pub fn of_folder(data: &Path) -> Self {
         Self { data: data.to_owned(), database: None, blobs: None, limits: Limits::default(), reserve: Reserve::default() }
     }
@@ -211,37 +210,31 @@ impl Library {
     }
 
     /// The blob store.
-    #[must_use]
     pub fn blobs(&self) -> &BlobStore {
         &self.0.blobs
     }
 
     /// The limits.
-    #[must_use]
     pub fn limits(&self) -> &Limits {
         &self.0.limits
     }
 
     /// Makes ids and signs links.
-    #[must_use]
     pub fn secret(&self) -> &Secret {
         &self.0.secret
     }
 
     /// Folder for incoming uploads; see [`Content::of_file`].
-    #[must_use]
     pub fn incoming(&self) -> &Path {
         &self.0.incoming
     }
 
     /// Subscribes to events.
-    #[must_use]
     pub fn subscribe(&self) -> Subscription {
         self.database().events().subscribe()
     }
 
     /// The last progress of a photo that this node has received.
-    #[must_use]
     pub fn progress_of(&self, photo: PhotoId) -> Option<Value> {
         self.database().events().progress(photo)
     }

@@ -73,13 +73,11 @@ pub struct Link {
 
 impl Link {
     /// A link with these 64 hex digits as its signature; `None` if they are not.
-    #[must_use]
     pub fn of_signature(expires: u64, signature: &str) -> Option<Self> {
         Some(Self { expires, signature: unhex(signature)? })
     }
 
     /// The signature as 64 hex digits.
-    #[must_use]
     pub fn signature(&self) -> String {
         hex(&self.signature)
     }
@@ -112,7 +110,6 @@ impl fmt::Debug for Secret {
 
 impl Secret {
     /// A secret from the bytes of a key.
-    #[must_use]
     pub fn of_key(key: &[u8]) -> Self {
         Self(Sha256::digest(key).into())
     }
@@ -131,7 +128,6 @@ impl Secret {
     }
 
     /// Id of an owner's photo with this content. Others cannot derive it from the content. Without an owner it is `content`.
-    #[must_use]
     pub fn photo_id(&self, owner: Option<&Owner>, content: PhotoId) -> PhotoId {
         let Some(owner) = owner else { return content };
         let mac = self.mac("tmpi id 2", &[owner.as_str().as_bytes(), content.to_string().as_bytes()]).finalize().into_bytes();
@@ -145,26 +141,22 @@ impl Secret {
     }
 
     /// A link that is valid until `expires`, in seconds since 1970; for ever with [`u64::MAX`].
-    #[must_use]
     pub fn sign(&self, grant: Grant, subject: Subject<'_>, expires: u64) -> Link {
         Link { expires, signature: self.of_link(grant, subject, expires).finalize().into_bytes().into() }
     }
 
     /// Whether a link grants access at `now`. Compares the signature in constant time.
-    #[must_use]
     pub fn allows(&self, grant: Grant, subject: Subject<'_>, link: &Link, now: Millis) -> bool {
         let in_time = (now.max(0) as u64) / 1000 < link.expires;
         self.of_link(grant, subject, link.expires).verify_slice(&link.signature).is_ok() && in_time
     }
 
     /// A grant that names its owner: `OWNER-EXPIRES-SIGNATURE`.
-    #[must_use]
     pub fn sign_for(&self, grant: Grant, owner: &Owner, expires: u64) -> String {
         format!("{}-{}", owner.as_str(), self.sign(grant, Subject::Owner(owner), expires))
     }
 
     /// The owner whom such a grant names; `None` unless it is valid at `now`.
-    #[must_use]
     pub fn owner_of(&self, grant: Grant, text: &str, now: Millis) -> Option<Owner> {
         let (owner, link) = text.split_once('-')?;
         let owner = Owner::from_column(owner.to_owned());

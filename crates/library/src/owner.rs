@@ -16,25 +16,21 @@ impl Owner {
     }
 
     /// The holder of this secret.
-    #[must_use]
     pub fn of_secret(secret: &str) -> Self {
         Self::of("secret", secret)
     }
 
     /// The holders of keys with this name. Keys of one name share an owner, so that one can replace another.
-    #[must_use]
     pub fn of_keys(name: &str) -> Self {
         Self::of("keys", name)
     }
 
     /// The user of this machine, who has no quotas.
-    #[must_use]
     pub fn local_user() -> Self {
         Self::of("local", "")
     }
 
     /// As text.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }

@@ -35,7 +35,6 @@ string_enum! {
 
 impl PhotoState {
     /// Whether no job is pending.
-    #[must_use]
     pub const fn is_final(self) -> bool {
         matches!(self, Self::Done | Self::Failed | Self::Damaged)
     }
@@ -84,7 +83,6 @@ string_enum! {
 
 impl Part {
     /// Whether a worker makes this part.
-    #[must_use]
     pub const fn is_result(self) -> bool {
         matches!(self, Self::Container | Self::Disparity | Self::Thumbnail | Self::Report)
     }
@@ -121,7 +119,6 @@ pub struct Problem {
 
 impl Problem {
     /// A problem without a field.
-    #[must_use]
     pub fn new(kind: &str, detail: impl Into<String>) -> Self {
         Self { kind: kind.to_owned(), detail: detail.into(), field: None }
     }
@@ -182,7 +179,6 @@ impl Photo {
     }
 
     /// Title in its settings.
-    #[must_use]
     pub fn title(&self) -> Option<&str> {
         self.settings.get("title").and_then(Value::as_str)
     }

@@ -120,7 +120,6 @@ pub(crate) const COLUMNS: &str =
 
 impl Job {
     /// Name of an export among those of its photo.
-    #[must_use]
     pub fn key(&self) -> Option<&str> {
         self.id.splitn(3, '/').nth(2)
     }

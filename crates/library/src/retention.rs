@@ -31,7 +31,6 @@ pub struct Swept {
 
 impl Library {
     /// When a photo accepted at this time is deleted for its age, if ever.
-    #[must_use]
     pub fn ends_at(&self, accepted_at: Millis) -> Option<Millis> {
         self.limits().retain.map(|time| accepted_at.saturating_add(millis(time)))
     }

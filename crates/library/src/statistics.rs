@@ -30,7 +30,6 @@ pub struct Statistics {
 
 impl Statistics {
     /// Waiting jobs of a kind, of all classes.
-    #[must_use]
     pub fn waiting_of(&self, kind: JobKind) -> u64 {
         self.waiting.iter().filter(|((of, _), _)| *of == kind).map(|(_, n)| n).sum()
     }

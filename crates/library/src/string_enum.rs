@@ -11,7 +11,6 @@ macro_rules! string_enum {
 
         impl $type {
             /// Its name.
-            #[must_use]
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$variant => $name,)*

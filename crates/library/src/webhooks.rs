@@ -46,7 +46,6 @@ impl EventType {
         [Self::PhotoDone, Self::PhotoFailed, Self::PhotoDeleted, Self::ExportDone, Self::ExportFailed, Self::RoomStarted, Self::RoomEnded];
 
     /// The event of [`Self::ALL`] with this name.
-    #[must_use]
     pub fn of_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|event| event.name() == name)
     }

@@ -303,7 +303,6 @@ impl Decoder {
     }
 
     /// The bytes of the result with the number of an [`Output`].
-    #[must_use]
     pub fn output(&self, what: u32) -> &[u8] {
         const OUTPUTS: [Output; 7] =
             [Output::Text, Output::Numbers, Output::Data, Output::Tiles, Output::Layers, Output::Cells, Output::Message];

@@ -68,14 +68,12 @@ impl Splitter {
     }
 
     /// Ends the stream and returns the last unit.
-    #[must_use]
     pub fn finish(self) -> Option<Unit> {
         self.slice.then_some(Unit { data: self.bytes, key: self.key })
     }
 }
 
 /// `WebCodecs` codec string of a stream that begins with this unit; `None` if the unit has no sequence parameter set.
-#[must_use]
 pub fn codec(unit: &[u8]) -> Option<String> {
     let at = unit.windows(4).position(|w| w[..3] == [0, 0, 1] && w[3] & 31 == PARAMETERS)?;
     let [profile, constraints, level] = *unit.get(at + 4..)?.first_chunk::<3>()?;
@@ -83,13 +81,11 @@ pub fn codec(unit: &[u8]) -> Option<String> {
 }
 
 /// Whether a unit has a B slice, which may refer to later pictures: decoding and display order then differ.
-#[must_use]
 pub fn is_bidirectional(unit: &[u8]) -> bool {
     nals(unit, |kind| matches!(kind, SLICE | KEY)).any(|slice| matches!(slice_type(slice), Some(1 | 6)))
 }
 
 /// Whether a display orientation SEI message asks to rotate or mirror the unit's picture.
-#[must_use]
 pub fn is_turned(unit: &[u8]) -> bool {
     nals(unit, |kind| kind == SEI).any(|nal| {
         let end = nal.windows(3).position(|w| w[..2] == [0, 0] && w[2] <= 1).unwrap_or(nal.len());

@@ -45,7 +45,6 @@ impl Affine {
 ///
 /// This is a robust reduced-major-axis regression: the scale is the ratio of the spreads. Least squares would flatten each frame a little
 /// more than the last, because of the noise in `new`.
-#[must_use]
 pub fn fit(new: &DisparityMap, last: &DisparityMap, steady: &[bool]) -> Affine {
     let known = steady.iter().filter(|s| **s).count();
     let enough = known as f64 >= MIN_STEADY * steady.len().max(1) as f64;

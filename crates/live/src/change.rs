@@ -57,7 +57,6 @@ pub struct Change {
 
 impl Change {
     /// How much each tile of a grid changed: the sum of its blocks.
-    #[must_use]
     pub fn tiles(&self, grid: &Grid) -> Vec<u64> {
         let tile = |t| {
             let r = grid.rect(t);
@@ -72,13 +71,11 @@ impl Change {
 
 impl Compare {
     /// Starts without a reference frame.
-    #[must_use]
     pub const fn new(tolerance: Tolerance) -> Self {
         Self { tolerance, reference: None, histogram: [0; BINS] }
     }
 
     /// Each block's pixels when it last changed; `None` before the first frame.
-    #[must_use]
     pub const fn reference(&self) -> Option<&Photo> {
         self.reference.as_ref()
     }

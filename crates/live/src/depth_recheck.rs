@@ -29,7 +29,6 @@ pub struct Rechecks {
 
 impl Rechecks {
     /// Starts with no recheck due, for this many blocks.
-    #[must_use]
     pub fn new(blocks: usize, settings: RecheckSettings) -> Self {
         Self { settings, countdown: vec![0; blocks] }
     }

@@ -70,7 +70,6 @@ pub struct Budget {
 
 impl Budget {
     /// A budget of `frame_ms` milliseconds per frame. Anything but a positive number means no limit.
-    #[must_use]
     pub fn new(frame_ms: f64) -> Self {
         Self {
             frame_ms: if frame_ms > 0.0 { frame_ms } else { f64::INFINITY },
@@ -123,7 +122,6 @@ impl Budget {
 
     /// Decides how many of the `waiting` tiles fit into the rest of the frame: all with as many planes as they need, up to `most`;
     /// otherwise all with fewer planes; otherwise some of them with fewer planes. `most` is `None` if the number of planes is fixed.
-    #[must_use]
     pub fn tiles(&self, waiting: usize, most: Option<u32>) -> TileBudget {
         // a smaller network size saves time for a larger one, not for tiles; otherwise more time could mean fewer tiles
         let depth = if self.size.1 { f64::INFINITY } else { self.depth_ms(self.size.0) };

@@ -92,7 +92,6 @@ impl Default for Settings {
 
 impl Settings {
     /// Geometry for frames of this size, with a camera and empty tiles.
-    #[must_use]
     pub fn empty(&self, width: u32, height: u32) -> core::Geometry {
         let grid = self.options.grid(width, height);
         let intrinsics = match self.options.fov_x {
@@ -191,7 +190,6 @@ pub enum GeometryError {
 
 impl FramePipeline {
     /// Starts without any frame.
-    #[must_use]
     pub fn new(models: Models, settings: Settings) -> Self {
         let (budget, compare) = (Budget::new(settings.frame_ms), Compare::new(settings.tolerance));
         Self {
@@ -208,13 +206,11 @@ impl FramePipeline {
 
     /// All tiles as a reader of every chunk has them. After a cut, tiles of the old scene remain until they are replaced. `None` until
     /// every tile has planes.
-    #[must_use]
     pub fn geometry(&self) -> Option<&core::Geometry> {
         self.reader_tiles.as_ref().filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
     }
 
     /// Each pixel when its block last changed; its depth belongs to this picture.
-    #[must_use]
     pub const fn reference(&self) -> Option<&Photo> {
         self.compare.reference()
     }

@@ -12,7 +12,6 @@ struct Corner<'a> {
 /// Upper bound, in pixels, on the distance between the positions of any point of tile `index` under two sets of planes and labels, for any
 /// camera in the view box. Covers the visible pixels, each layer over the whole tile, and the background. Infinite if the numbers of layers
 /// differ, because one set then shows content that the other lacks.
-#[must_use]
 pub fn tile_displacement(geometry: &Geometry, index: u32, old: &Tile, new: &Tile) -> f64 {
     let same_layers = old.planes.len() == new.planes.len() && old.background.is_some() == new.background.is_some();
     if !same_layers || old.labels.len() != new.labels.len() {

@@ -12,20 +12,17 @@ pub struct Clock {
 
 impl Clock {
     /// Starts now.
-    #[must_use]
     pub fn start() -> Self {
         Self { wall: Instant::now(), cpu: cpu_ms() }
     }
 
     /// Wall milliseconds since the start.
-    #[must_use]
     pub fn ms(&self) -> f64 {
         self.wall.elapsed().as_secs_f64() * 1e3
     }
 
     /// Processor milliseconds since the start: all threads of this process, plus child processes that have ended since. 0 if the system
     /// does not report them.
-    #[must_use]
     pub fn cpu_ms(&self) -> f64 {
         cpu_ms() - self.cpu
     }
@@ -35,7 +32,6 @@ impl Clock {
 #[allow(unsafe_code, reason = "two libc calls that only write the struct passed to them")]
 mod system {
     /// Processor seconds of all threads of this process, without child processes; `None` if the system does not report them.
-    #[must_use]
     pub fn cpu_seconds() -> Option<f64> {
         let mut t = libc::timespec { tv_sec: 0, tv_nsec: 0 };
         // SAFETY: `t` outlives the call, which writes nothing else.
@@ -61,7 +57,6 @@ mod system {
     }
 
     /// Peak resident memory of this process in bytes; 0 if the system does not report it.
-    #[must_use]
     pub fn peak_rss_bytes() -> u64 {
         // on Linux, `getrusage` also counts what the parent process held when it started this one
         super::status_bytes("VmHWM:").unwrap_or_else(|| {
@@ -72,7 +67,6 @@ mod system {
 }
 
 /// Resident memory of this process in bytes; `None` if the system does not report it.
-#[must_use]
 pub fn resident_bytes() -> Option<u64> {
     status_bytes("VmRSS:")
 }

@@ -44,13 +44,11 @@ impl Path {
     pub const NAMES: [&'static str; 5] = ["orbit", "swing", "dolly", "dolly-zoom", "zoom"];
 
     /// Returns the path of a name, one of [`Path::NAMES`].
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         <Self as clap::ValueEnum>::from_str(name, false).ok()
     }
 
     /// The camera of frame `frame` of `frames` around `camera`, within the travel of `range`.
-    #[must_use]
     pub fn camera(self, camera: &Camera, frame: u32, frames: u32, range: &MotionRange) -> Camera {
         let (turn, v) = (f64::from(frame) / f64::from(frames.max(1)), &range.travel);
         let (sin, cos) = (turn * std::f64::consts::TAU).sin_cos();
@@ -125,7 +123,6 @@ pub enum AnimationFormat {
 
 impl AnimationFormat {
     /// Returns the format of a name, in any case: `webp` or `mp4`.
-    #[must_use]
     pub fn from_extension(extension: &str) -> Option<Self> {
         match extension.to_ascii_lowercase().as_str() {
             "webp" => Some(Self::WebP),
@@ -135,7 +132,6 @@ impl AnimationFormat {
     }
 
     /// Media type.
-    #[must_use]
     pub const fn media_type(self) -> &'static str {
         match self {
             Self::WebP => "image/webp",
@@ -144,7 +140,6 @@ impl AnimationFormat {
     }
 
     /// File name extension.
-    #[must_use]
     pub const fn extension(self) -> &'static str {
         match self {
             Self::WebP => "webp",

@@ -189,7 +189,6 @@ fn sides(from: u32, size: u32, drawn: [f64; 2], length: u32, margin: u32) -> [Op
 
 /// How far the corners of the view box see past the photo's borders, in pixels, to the sides and up and down. This is the maximum over
 /// cameras that look straight ahead and cameras that turn to keep the nearest surface in place, at δ = 0 and δ = 1.
-#[must_use]
 pub fn margin(scene: &Scene) -> [u32; 2] {
     let (w, h) = (f64::from(scene.grid.width), f64::from(scene.grid.height));
     let mut past = [0.0_f64; 2];
@@ -221,7 +220,6 @@ pub fn corners(v: &ViewBox, pivot: f64) -> impl Iterator<Item = Pose> + use<> {
 }
 
 /// Whether a camera is inside the view box, up to rounding. Views from outside may have holes.
-#[must_use]
 pub fn contains_pose(v: &ViewBox, pose: &Pose) -> bool {
     let within = |at: f64, extent: f64| at.abs() <= extent + 1e-9;
     within(pose.tx, v.x) && within(pose.ty, v.y) && within(pose.tz, v.z)
@@ -234,7 +232,6 @@ fn divided(m: &Mat3, place: [f64; 3]) -> [f64; 2] {
 }
 
 /// A camera at an offset that turns back, so that a point straight ahead at disparity `pivot` stays in place.
-#[must_use]
 pub fn looking_at(pivot: f64, tx: f64, ty: f64, tz: f64) -> Pose {
     let depth = 1.0 - tz * pivot;
     let yaw = -(tx * pivot).atan2(depth).to_degrees();

@@ -1,7 +1,6 @@
 //! Measures how much two pictures differ, pixel by pixel.
 
 /// PSNR in dB of two pictures of 8-bit values, over all values; [`MAX_PSNR`] if they are equal or empty.
-#[must_use]
 pub fn psnr(a: &[u8], b: &[u8]) -> f64 {
     // 32-bit sums process twice as many values per step, and hold 65 535 squares of 8-bit values
     let part = |(a, b): (&[u8], &[u8])| a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2)).sum::<u32>();
@@ -10,7 +9,6 @@ pub fn psnr(a: &[u8], b: &[u8]) -> f64 {
 }
 
 /// PSNR in dB for a mean squared difference of 8-bit values; [`MAX_PSNR`] for a difference of 0.
-#[must_use]
 pub fn psnr_of(mean_squared: f64) -> f64 {
     if mean_squared > 0.0 { (10.0 * (255.0 * 255.0 / mean_squared).log10()).min(MAX_PSNR) } else { MAX_PSNR }
 }
@@ -19,7 +17,6 @@ pub fn psnr_of(mean_squared: f64) -> f64 {
 pub const MAX_PSNR: f64 = 99.0;
 
 /// Share of pixels, 0 to 1, in which at least one channel differs by more than `levels`.
-#[must_use]
 pub fn share_off<const N: usize>(a: &[[u8; N]], b: &[[u8; N]], levels: u8) -> f64 {
     if a.is_empty() {
         return 0.0;
@@ -29,7 +26,6 @@ pub fn share_off<const N: usize>(a: &[[u8; N]], b: &[[u8; N]], levels: u8) -> f6
 }
 
 /// Largest difference of any channel, in levels.
-#[must_use]
 pub fn max_abs<const N: usize>(a: &[[u8; N]], b: &[[u8; N]]) -> u8 {
     a.iter().zip(b).flat_map(|(a, b)| a.iter().zip(b).map(|(a, b)| a.abs_diff(*b))).max().unwrap_or(0)
 }

@@ -28,7 +28,6 @@ impl PictureFormat {
     pub const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::WebP];
 
     /// Media type.
-    #[must_use]
     pub const fn media_type(self) -> &'static str {
         match self {
             Self::Png => "image/png",
@@ -39,7 +38,6 @@ impl PictureFormat {
     }
 
     /// Returns the format of a file name extension: `png`, `jpg`, `jpeg`, `webp` or `mpo`, in any case.
-    #[must_use]
     pub fn from_extension(extension: &str) -> Option<Self> {
         <Self as clap::ValueEnum>::from_str(extension, true).ok()
     }

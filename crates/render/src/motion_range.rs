@@ -36,7 +36,6 @@ impl MotionRange {
     pub const TRAVEL: f64 = 0.06;
 
     /// Derives the motion range of a scene.
-    #[must_use]
     pub fn of(scene: &Scene) -> Self {
         let (half, grid) = (scene.grid.half(), &scene.grid);
         // disparity bin, visible texels and centre of each layer

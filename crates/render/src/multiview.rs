@@ -70,13 +70,11 @@ pub const MAX_QUILT: u32 = 100;
 
 impl StereoLayout {
     /// Returns the layout of a name in the command line or a query.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         <Self as clap::ValueEnum>::from_str(name, false).ok()
     }
 
     /// The layout's name in the command line and in queries.
-    #[must_use]
     pub fn name(self) -> String {
         clap::ValueEnum::to_possible_value(&self).map(|value| value.get_name().to_owned()).unwrap_or_default()
     }
@@ -114,7 +112,6 @@ impl Arrangement {
     }
 
     /// Width and height of the picture, as multiples of a view's; a squeezed view may make it one pixel smaller.
-    #[must_use]
     pub const fn grid(self) -> (u32, u32) {
         let (columns, rows) = self.cells();
         let (wide, high) = self.squeeze();
@@ -122,14 +119,12 @@ impl Arrangement {
     }
 
     /// Size of the picture, for views of `width × height` pixels before they are squeezed.
-    #[must_use]
     pub fn size(self, (width, height): (u32, u32)) -> (u32, u32) {
         let ((columns, rows), (wide, high)) = (self.cells(), self.squeeze());
         ((width / wide).max(1).saturating_mul(columns), (height / high).max(1).saturating_mul(rows))
     }
 
     /// Number of views.
-    #[must_use]
     pub const fn views(self) -> u32 {
         match self {
             Self::Stereo(_) => 2,

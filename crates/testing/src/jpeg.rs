@@ -26,13 +26,11 @@ pub struct Component {
 }
 
 /// Components 1, 2, 3 … of these horizontal and vertical sampling factors.
-#[must_use]
 pub fn components(sampling: &[(u8, u8)]) -> Vec<Component> {
     sampling.iter().zip(1..).map(|(&(h, v), id)| Component { id, h, v }).collect()
 }
 
 /// A smooth picture: sample 0 to 255 of a component (brightness, two of colour, black) at a place in pixels.
-#[must_use]
 pub fn smooth(component: usize, x: f64, y: f64) -> f64 {
     match component {
         0 => 128.0 + 60.0 * (x / 9.0).sin() + 40.0 * (y / 7.0).cos(),
@@ -43,7 +41,6 @@ pub fn smooth(component: usize, x: f64, y: f64) -> f64 {
 }
 
 /// What [`smooth`] looks like as `YCbCr` (BT.601 in full range), in RGB of 0 to 255.
-#[must_use]
 pub fn smooth_rgb(x: f64, y: f64) -> [f64; 3] {
     let [luma, blue, red] = [0, 1, 2].map(|component| smooth(component, x, y));
     let (blue, red) = (blue - 128.0, red - 128.0);
@@ -51,37 +48,31 @@ pub fn smooth_rgb(x: f64, y: f64) -> [f64; 3] {
 }
 
 /// The segment that says JFIF.
-#[must_use]
 pub fn jfif() -> (u8, Vec<u8>) {
     (0xE0, b"JFIF\0\x01\x01\0\0\x01\0\x01\0\0".to_vec())
 }
 
 /// Adobe's segment, which tells the kind of colours.
-#[must_use]
 pub fn adobe(transform: u8) -> (u8, Vec<u8>) {
     (0xEE, [&b"Adobe\0\x64\0\0\0\0"[..], &[transform]].concat())
 }
 
 /// A segment of a file.
-#[must_use]
 pub fn segment(marker: u8, body: &[u8]) -> Vec<u8> {
     [&[0xFF, marker], ((body.len() + 2) as u16).to_be_bytes().as_slice(), body].concat()
 }
 
 /// The file with `segments` behind its first marker.
-#[must_use]
 pub fn with_segments(file: &[u8], segments: &[Vec<u8>]) -> Vec<u8> {
     [&file[..2], &segments.concat(), &file[2..]].concat()
 }
 
 /// The file with a colour profile.
-#[must_use]
 pub fn with_profile(file: &[u8], profile: &[u8]) -> Vec<u8> {
     with_segments(file, &[segment(0xE2, &[b"ICC_PROFILE\0\x01\x01", profile].concat())])
 }
 
 /// The file without its code tables, except those `kept` by class and number. Each table must be a segment of its own.
-#[must_use]
 pub fn without_tables(file: &[u8], kept: &[u8]) -> Vec<u8> {
     let (mut out, mut at) = (file[..2].to_vec(), 2);
     while file[at + 1] != 0xDA {
@@ -99,7 +90,6 @@ pub fn without_tables(file: &[u8], kept: &[u8]) -> Vec<u8> {
 pub const EYE: u32 = 0x0002_0002;
 
 /// A file of several pictures (Multi-Picture Format, CIPA DC-007-2009): `first`, and behind it others, each with the attributes of its entry.
-#[must_use]
 pub fn multi_picture(first: &[u8], behind: &[(u32, &[u8])]) -> Vec<u8> {
     let index = |length: usize| {
         let entry = |attributes: u32, length: usize, at: usize| [attributes, length as u32, at as u32, 0].map(u32::to_be_bytes).concat();
@@ -149,13 +139,11 @@ pub struct Jpeg {
 
 impl Jpeg {
     /// An interleaved file without restarts and further segments.
-    #[must_use]
     pub fn new(width: u16, height: u16, components: Vec<Component>) -> Self {
         Self { width, height, components, scans: Scans::Interleaved, restart: 0, segments: Vec::new() }
     }
 
     /// The file of samples 0 to 255 that `sample` gives for a component at a place of the picture, in pixels.
-    #[must_use]
     pub fn write(&self, sample: impl Fn(usize, f64, f64) -> f64) -> Vec<u8> {
         let planes: Vec<Plane> = (0..self.components.len()).map(|i| self.plane(i, |x, y| sample(i, x, y))).collect();
         let mut out = vec![0xFF, 0xD8];

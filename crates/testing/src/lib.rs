@@ -79,7 +79,6 @@ impl Need {
     ///
     /// # Panics
     /// The need is missing and `TMPI_REQUIRE` names it, `TMPI_REQUIRE` holds an unknown word, or the list cannot be written.
-    #[must_use]
     pub fn or_skip<T, E: Display>(self, found: Result<T, E>) -> Option<T> {
         let required = std::env::var(VARIABLE).unwrap_or_default();
         let missing = match self.judged(&required, found) {
@@ -130,7 +129,6 @@ fn test() -> String {
 ///
 /// # Panics
 /// As [`Need::or_skip`].
-#[must_use]
 pub fn data(folder: &str) -> Option<PathBuf> {
     let root = std::env::var_os(DATA).filter(|root| !root.is_empty());
     let found = root.ok_or_else(|| format!("{DATA} names no folder")).and_then(|root| {
@@ -144,7 +142,6 @@ pub fn data(folder: &str) -> Option<PathBuf> {
 ///
 /// # Panics
 /// A folder cannot be read.
-#[must_use]
 pub fn files_below(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
     let below = |path: PathBuf| if path.is_dir() { files_below(&path) } else { vec![path] };
@@ -155,7 +152,6 @@ pub fn files_below(folder: &Path) -> Vec<PathBuf> {
 ///
 /// # Panics
 /// As [`Need::or_skip`].
-#[must_use]
 pub fn postgres() -> Option<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     Need::Postgres.or_skip(postgres_in(&path, Path::new(DEBIAN)).ok_or("apt-get install postgresql"))

@@ -59,7 +59,6 @@ impl Engine {
     ///
     /// # Panics
     /// It does not start.
-    #[must_use]
     pub fn s3() -> Option<Self> {
         let there = is_there("python3", &["-c", "import moto.server"]).then_some(());
         Need::S3.or_skip(there.ok_or("pip install 'moto[server]'"))?;
@@ -72,7 +71,6 @@ impl Engine {
     }
 
     /// Variables by which programs find an S3 server at `addr`.
-    #[must_use]
     pub fn s3_variables(addr: SocketAddr) -> [(&'static str, String); 4] {
         [
             ("AWS_ENDPOINT_URL", format!("http://{addr}")),
@@ -86,7 +84,6 @@ impl Engine {
     ///
     /// # Panics
     /// It does not start.
-    #[must_use]
     pub fn azure() -> Option<Self> {
         let there = is_there("azurite-blob", &["--version"]).then_some(());
         Need::Azure.or_skip(there.ok_or("npm install azurite, and its azurite-blob in the PATH"))?;

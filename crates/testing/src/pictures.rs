@@ -10,7 +10,6 @@ use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
 ///
 /// # Panics
 /// If the format does not hold such a picture.
-#[must_use]
 #[allow(clippy::unwrap_used, reason = "for tests")]
 pub fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
     let mut out = Cursor::new(Vec::new());
@@ -22,7 +21,6 @@ pub fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
 ///
 /// # Panics
 /// If the format does not hold such a picture.
-#[must_use]
 #[allow(clippy::unwrap_used, reason = "for tests")]
 pub fn jpeg(image: impl Into<DynamicImage>, quality: u8) -> Vec<u8> {
     let mut out = Vec::new();
@@ -34,7 +32,6 @@ pub fn jpeg(image: impl Into<DynamicImage>, quality: u8) -> Vec<u8> {
 ///
 /// # Panics
 /// If the samples are not those of such a picture.
-#[must_use]
 #[allow(clippy::unwrap_used, reason = "for tests")]
 pub fn png(width: u32, height: u32, samples: &[u8], colour: ExtendedColorType) -> Vec<u8> {
     let mut file = Vec::new();
@@ -43,7 +40,6 @@ pub fn png(width: u32, height: u32, samples: &[u8], colour: ExtendedColorType) -
 }
 
 /// A PNG file of smooth waves with some edges.
-#[must_use]
 pub fn waves(width: u32, height: u32) -> Vec<u8> {
     let wave = |v: u32, by: f64| (127.5 + 100.0 * (f64::from(v) / by).sin()) as u8;
     let pixel = |x: u32, y: u32| [wave(x, 9.0), wave(y, 7.0), if (x / 30 + y / 20).is_multiple_of(2) { 200 } else { 90 }];
@@ -52,14 +48,12 @@ pub fn waves(width: u32, height: u32) -> Vec<u8> {
 }
 
 /// A number of 0 to 1 for a pixel, unlike those of its neighbours.
-#[must_use]
 pub fn noise(x: u32, y: u32) -> f32 {
     let i = (y * 4099 + x).wrapping_mul(2_654_435_761);
     ((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 8) as f32 / (1 << 24) as f32
 }
 
 /// Frames of an IVF file, which holds a film in VP9.
-#[must_use]
 pub fn ivf_frames(file: &[u8]) -> Vec<&[u8]> {
     let (mut frames, mut file) = (Vec::new(), &file[32..]);
     while let Some((head, rest)) = file.split_first_chunk::<12>() {

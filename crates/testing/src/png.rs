@@ -25,7 +25,6 @@ pub struct Png {
 
 impl Png {
     /// The file of the samples that `sample` gives for a channel at a place, 0 to 1; of a palette, which is one of grey, that is the place in it.
-    #[must_use]
     pub fn write(&self, sample: impl Fn(usize, u32, u32) -> f64) -> Vec<u8> {
         let channels = match self.colour {
             GREY | PALETTE => 1,
@@ -78,7 +77,6 @@ impl Png {
 }
 
 /// A chunk with its length and checksum.
-#[must_use]
 pub fn chunk(name: &[u8; 4], body: &[u8]) -> Vec<u8> {
     let named = [name, body].concat();
     let bit = |crc: u32| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
@@ -87,7 +85,6 @@ pub fn chunk(name: &[u8; 4], body: &[u8]) -> Vec<u8> {
 }
 
 /// The chunk of an ICC profile.
-#[must_use]
 pub fn iccp(profile: &[u8]) -> Vec<u8> {
     chunk(b"iCCP", &[b"profile\0\0".as_slice(), &zlib(profile)].concat())
 }

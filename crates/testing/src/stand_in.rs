@@ -22,13 +22,11 @@ pub struct Request {
 
 impl Request {
     /// A header; empty if it is missing.
-    #[must_use]
     pub fn header(&self, name: &str) -> &str {
         self.headers.iter().find(|(n, _)| n == name).map_or("", |(_, v)| v)
     }
 
     /// The target.
-    #[must_use]
     pub fn path(&self) -> &str {
         self.line.split(' ').nth(1).unwrap_or_default()
     }
@@ -46,13 +44,11 @@ pub enum Answer {
 
 impl Answer {
     /// A status without a body.
-    #[must_use]
     pub const fn of(status: u16) -> Self {
         Self::Whole(status, String::new(), Vec::new())
     }
 
     /// Bytes as they are, and the end of the connection.
-    #[must_use]
     pub fn bytes(bytes: impl Into<Vec<u8>>) -> Self {
         Self::Pieces(Box::new(std::iter::once(bytes.into())))
     }
@@ -77,7 +73,6 @@ impl StandIn {
     ///
     /// # Panics
     /// There is no free port.
-    #[must_use]
     pub fn start(answer: impl Fn(&Request) -> Answer + Send + Sync + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let addr = listener.local_addr().expect("an address");
@@ -96,19 +91,16 @@ impl StandIn {
     }
 
     /// The address of a path.
-    #[must_use]
     pub fn url(&self, path: &str) -> String {
         format!("http://{}{path}", self.addr)
     }
 
     /// Requests that were answered, in order.
-    #[must_use]
     pub fn answered(&self) -> Vec<Request> {
         self.state.answered.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Number of requests that have come.
-    #[must_use]
     pub fn begun(&self) -> usize {
         self.state.begun.load(Ordering::SeqCst)
     }

@@ -5,20 +5,17 @@ use axum::http::uri::PathAndQuery;
 use tmpi_library::Link;
 
 /// A link as a URL query.
-#[must_use]
 pub fn query_of(link: &Link) -> String {
     format!("expires={}&signature={}", link.expires, link.signature())
 }
 
 /// The link in the URL that the parameter `url` names, as in oEmbed requests.
-#[must_use]
 pub fn link_of_url(uri: &Uri) -> Option<Link> {
     let (_, url) = form_urlencoded::parse(uri.query()?.as_bytes()).find(|(name, _)| name == "url")?;
     take_link(&url.parse().ok()?)?.1
 }
 
 /// Splits a URL into the URL without link parameters and the link (`None` if malformed). `None` without link parameters.
-#[must_use]
 pub fn take_link(uri: &Uri) -> Option<(Uri, Option<Link>)> {
     let query = uri.query()?;
     let of = |pair: &'_ str, name: &str| pair.split_once('=').map_or(pair, |(n, _)| n) == name;

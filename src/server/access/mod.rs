@@ -61,7 +61,6 @@ tokio::task_local! {
 }
 
 /// The admission of the current request, also for answers that go on; `None` with open access.
-#[must_use]
 pub fn admission() -> Option<Arc<Admission>> {
     ADMISSION.try_with(Arc::clone).ok()
 }
@@ -73,7 +72,6 @@ pub struct Guard {
 
 impl Guard {
     /// Checks callers against the keys and grants of `library`.
-    #[must_use]
     pub const fn new(library: Library) -> Self {
         Self { library }
     }
@@ -239,14 +237,12 @@ impl Guard {
     }
 
     /// Whether the caller has the right to a photo that this request needs.
-    #[must_use]
     pub fn allows(&self, photo: &Photo) -> bool {
         // no caller, no rights
         admission().is_some_and(|come| self.lets(&come, come.permission, photo, come.at))
     }
 
     /// Whether the caller may change a photo, whatever this request needs. If so, the answer becomes private.
-    #[must_use]
     pub fn may_change(&self, photo: &Photo) -> bool {
         admission().is_some_and(|come| self.lets(&come, Permission::Change, photo, come.at))
     }
@@ -294,31 +290,26 @@ impl Guard {
     }
 
     /// The caller as an owner; `None` for tickets, photo tokens and callers without credentials.
-    #[must_use]
     pub fn owner() -> Option<Owner> {
         admission()?.caller.owner()
     }
 
     /// Whether the caller has the rights of an administrator, and thus to all photos.
-    #[must_use]
     pub fn is_admin() -> bool {
         admission().is_some_and(|come| come.caller.is_admin())
     }
 
     /// Id of an owner's photo whose content hashes to `content`.
-    #[must_use]
     pub fn id(&self, owner: &Owner, content: PhotoId) -> PhotoId {
         self.library.secret().photo_id(Some(owner), content)
     }
 
     /// Query of a link that can read a photo until `expires`, in seconds since 1970.
-    #[must_use]
     pub fn query(&self, photo: &Photo, expires: u64) -> String {
         query_of(&self.library.secret().sign(Grant::View, Subject::Photo(photo), expires))
     }
 
     /// The photo's page with its token after the `#`; anyone with this link can see and change the photo.
-    #[must_use]
     pub fn manage_link(&self, photo: &Photo) -> String {
         let link = self.library.secret().sign(Grant::Edit, Subject::Photo(photo), u64::MAX);
         format!("/view/{}#manage={}", photo.id, token_of(&link))
@@ -332,13 +323,11 @@ impl Admission {
 }
 
 /// The owner that the caller's secret or session names.
-#[must_use]
 pub fn owner_by_secret() -> Option<Owner> {
     if let Caller::Owner(owner, _) = &admission()?.caller { Some(owner.clone()) } else { None }
 }
 
 /// Query of the caller's link, if only the link gave access.
-#[must_use]
 pub fn link() -> Option<String> {
     admission().filter(|come| come.linked.load(Ordering::Relaxed))?.link.as_ref().map(query_of)
 }

@@ -86,7 +86,6 @@ const TABLE: &[(&str, &str, Permission)] = &[
 ];
 
 /// What a route needs, by method and path template; `None` for an unknown route.
-#[must_use]
 pub fn permission(method: &str, path: &str) -> Option<Permission> {
     let method = if method == "HEAD" { "GET" } else { method };
     if method == "GET" && (path.starts_with("/v1/live/{room}/") || path == "/v1/live/{room}") {
@@ -96,7 +95,6 @@ pub fn permission(method: &str, path: &str) -> Option<Permission> {
 }
 
 /// 405 for a known route without this method, 404 for an unknown route.
-#[must_use]
 pub fn refusal(method: &Method, path: &str) -> Problem {
     let all = ["GET", "HEAD", "POST", "PATCH", "DELETE"];
     let allow: Vec<&str> = all.into_iter().filter(|method| permission(method, path).is_some()).collect();

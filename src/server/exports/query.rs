@@ -50,7 +50,6 @@ impl ExportQuery {
     }
 
     /// Options of a model.
-    #[must_use]
     pub const fn model(&self) -> ModelOptions {
         ModelOptions { shape: self.shape, textures: self.textures }
     }

@@ -63,7 +63,6 @@ impl Recipe {
     }
 
     /// All parameters in canonical form.
-    #[must_use]
     pub fn pairs(&self) -> Vec<(&'static str, String)> {
         match self {
             Self::File { format: ExportFormat::Glb, model: ModelOptions { shape, textures } } => {
@@ -75,13 +74,11 @@ impl Recipe {
     }
 
     /// The canonical text, which names the file among those of one version of a photo.
-    #[must_use]
     pub fn text(&self) -> String {
         self.pairs().iter().map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join("&")
     }
 
     /// Media type and extension of the file for a [`Recipe::text`], whatever the current limits are.
-    #[must_use]
     pub fn kind(text: &str) -> Option<(&'static str, &'static str)> {
         let format = text.split('&').find_map(|part| part.strip_prefix("format="))?;
         let file = ExportFormat::from_extension(format).map(|format| (format.media_type(), format.extension()));
@@ -100,14 +97,12 @@ impl Recipe {
     }
 
     /// Memory of a process that writes the file, in bytes.
-    #[must_use]
     pub fn memory(&self, done: &FinishedPhoto) -> u64 {
         let scene = if matches!(self, Self::File { format: ExportFormat::Html, .. }) { 0 } else { done.scene_bytes() };
         PROCESS + scene + self.own(done)
     }
 
     /// Memory for a slot of work that writes the file, in bytes.
-    #[must_use]
     pub fn slot_bytes(&self, done: &FinishedPhoto) -> u64 {
         let pixels = u64::from(done.width) * u64::from(done.height);
         done.scene_bytes() + if matches!(self, Self::File { format: ExportFormat::Ora, .. }) { ORA_BYTES * pixels } else { 0 }
@@ -115,7 +110,6 @@ impl Recipe {
 
     /// Whether the server writes it in its own process, while the client waits: pages, which contain the container unchanged, and other
     /// files of small photos, but no films.
-    #[must_use]
     pub fn is_cheap(&self, done: &FinishedPhoto) -> bool {
         match self {
             Self::File { format: ExportFormat::Html, .. } => true,

@@ -58,7 +58,6 @@ fn is_over(sink: &dyn Sink) -> bool {
 }
 
 /// The answer if writing takes too long.
-#[must_use]
 pub fn timeout_problem() -> Problem {
     let detail = "writing the file exceeds the time limit (exports.timeout): request fewer frames, a smaller size or another format";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)

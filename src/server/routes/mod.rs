@@ -228,7 +228,6 @@ fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 6] {
 }
 
 /// All routes of [`router`].
-#[must_use]
 pub fn routes() -> Vec<Route> {
     let described = |api: utoipa::openapi::OpenApi, access| {
         let paths = api.paths.paths;

@@ -67,7 +67,6 @@ impl Pairs {
     }
 
     /// The value of a parameter.
-    #[must_use]
     pub fn get(&self, name: &str) -> Option<&str> {
         self.0.get(name).map(String::as_str)
     }

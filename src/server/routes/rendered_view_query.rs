@@ -241,7 +241,6 @@ impl ViewQuery {
     }
 
     /// The cameras of stereo pictures and quilts.
-    #[must_use]
     pub fn rig(&self, scene: &Scene) -> Option<Rig> {
         let arrangement = self.arrangement()?;
         let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(MotionRange::TRAVEL) } else { EYE_DISTANCE };
@@ -249,13 +248,11 @@ impl ViewQuery {
     }
 
     /// The query without size, format and version: equal for equal cameras.
-    #[must_use]
     pub fn canonical(&self) -> Self {
         Self { w: None, h: None, format: None, version: None, ..self.clone() }
     }
 
     /// The camera.
-    #[must_use]
     pub fn camera(&self, scene: &Scene, (width, height): (u32, u32)) -> Camera {
         let of = |v: Option<f64>| v.unwrap_or(0.0);
         let pose =

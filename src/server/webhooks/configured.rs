@@ -14,7 +14,6 @@ pub struct ConfiguredWebhook(NewWebhook);
 
 impl ConfiguredWebhook {
     /// As the library stores it.
-    #[must_use]
     pub const fn stored(&self) -> &NewWebhook {
         &self.0
     }

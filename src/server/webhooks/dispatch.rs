@@ -34,7 +34,6 @@ pub struct Clients {
 
 impl Clients {
     /// Clients of which those for webhooks of callers are limited to `reach`.
-    #[must_use]
     pub const fn new(reach: AddressPolicy) -> Self {
         Self { named: Outbound::new(reach), configured: Outbound::new(AddressPolicy::Any) }
     }

@@ -9,13 +9,11 @@ use crate::server::timestamps::rfc3339;
 
 /// The body of a delivery: type, time and data. `origin` is `https://HOST` of this server, if it knows that; paths then become addresses,
 /// too.
-#[must_use]
 pub fn body(delivery: &Delivery, origin: Option<&str>) -> String {
     json!({ "type": delivery.event.name(), "timestamp": rfc3339(delivery.created_at), "data": data(delivery, origin) }).to_string()
 }
 
 /// The data of a delivery.
-#[must_use]
 pub fn data(delivery: &Delivery, origin: Option<&str>) -> Value {
     let EventData { photo, title, export, problem, room } = &delivery.data;
     let mut data = match (photo, export, room) {

@@ -39,7 +39,6 @@ impl SigningSecret {
     }
 
     /// The header `webhook-signature` of a request at `seconds` since 1970.
-    #[must_use]
     pub fn sign(&self, id: &str, seconds: u64, body: &str) -> String {
         // RFC 2104 pads a key to a block with zeros
         let mut block = [0; 64];

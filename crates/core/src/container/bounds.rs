@@ -73,7 +73,6 @@ pub fn geometry(g: &crate::Geometry) -> Result<(), ContainerError> {
 }
 
 /// True if readers accept these planes for this grid, even with a background plane in each tile.
-#[must_use]
 pub fn readable(grid: &Grid, tiles: &[Tile]) -> bool {
     let count = tiles.iter().map(|t| t.planes.len() + 1).sum();
     planes(grid, count).is_ok() && work(grid, tiles).is_ok()
@@ -81,7 +80,6 @@ pub fn readable(grid: &Grid, tiles: &[Tile]) -> bool {
 
 /// Maximum number of planes per tile, without background planes, that readers accept for every photo of this grid; 0 if the tiles are too
 /// small for the photo's size.
-#[must_use]
 pub fn most_planes(grid: &Grid) -> u32 {
     let (one, most) = (work_of(grid, std::iter::repeat(0)), max_work(grid));
     let tiles = grid.tiles().max(1) as usize;

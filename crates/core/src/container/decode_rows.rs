@@ -30,7 +30,6 @@ pub struct TileLayers {
 }
 
 /// Rows of pixels that determine the layers in some rows of tiles.
-#[must_use]
 pub fn pixel_rows(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
     Geometry::pixel_rows(grid, rows)
 }

@@ -5,7 +5,6 @@ use super::{EncodedPhoto, OptionalSections, PhotoFormat, encode_in, encode_lossl
 use crate::{Geometry, Grid, Intrinsics, Photo, Plane, Scene, TexturedLayer, Tile, ViewBox, compose};
 
 /// Near discs in front of a slanted wall; some tiles have background planes, some alphas are refined, and hidden colours survive JPEG well.
-#[must_use]
 pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
     let grid = Grid::new(width, height, 64);
     let photo = Photo::from_fn(width, height, |x, y| [(x * 255 / width) as u8, (y * 255 / height) as u8, 90]);
@@ -40,7 +39,6 @@ pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
 }
 
 /// The same scene matted, with a photo in which the discs are red with soft outlines. Use only its planes, labels and photo.
-#[must_use]
 pub fn matted((mut geometry, mut scene): (Geometry, Scene)) -> (Geometry, Scene) {
     geometry.matted = true;
     let width = scene.photo.width;
@@ -56,7 +54,6 @@ pub fn matted((mut geometry, mut scene): (Geometry, Scene)) -> (Geometry, Scene)
 }
 
 /// The same scene with planes that differ from tile to tile, as in photos. Use only its planes and labels.
-#[must_use]
 pub fn rough((mut geometry, scene): (Geometry, Scene)) -> (Geometry, Scene) {
     let planes = geometry.tiles.iter_mut().flat_map(|t| t.planes.iter_mut().chain(&mut t.background));
     for (i, p) in (1u32..).zip(planes) {
@@ -68,7 +65,6 @@ pub fn rough((mut geometry, scene): (Geometry, Scene)) -> (Geometry, Scene) {
 }
 
 /// A container with only photo (lossless PNG), planes, and labels in bands of `rows` rows of tiles or in a single stream.
-#[must_use]
 pub fn bare_in(rows: Option<u32>, (geometry, s): &(Geometry, Scene)) -> Vec<u8> {
     let png = encode_lossless(image::ImageFormat::Png, s.photo.width, s.photo.height, s.photo.rgb.as_flattened()).unwrap();
     let photo = EncodedPhoto { bytes: png, format: PhotoFormat::Png };

@@ -20,7 +20,6 @@ pub fn size(bytes: &[u8]) -> Result<Size, ContainerError> {
 }
 
 /// A grid like that of photos.
-#[must_use]
 pub fn grid(width: u32, height: u32, size: u32) -> Grid {
     Grid::new(width, height, size)
 }

@@ -20,7 +20,6 @@ pub fn rows(grid: &Grid) -> Option<u32> {
 }
 
 /// Rows of tiles per band for bands of about equal size and at least `pixels` pixels; `None` for a single stream.
-#[must_use]
 pub fn band_rows(grid: &Grid, pixels: u64) -> Option<u32> {
     let most = u64::from(grid.width) * u64::from(grid.height) / pixels.max(1);
     let bands = most.min(u64::from(grid.rows())) as u32;

@@ -16,7 +16,6 @@ pub enum PhotoFormat {
 
 impl PhotoFormat {
     /// The format of a file, from its first bytes; `None` if it is another format.
-    #[must_use]
     pub fn sniff(bytes: &[u8]) -> Option<Self> {
         match bytes {
             [0xFF, 0xD8, 0xFF, ..] => Some(Self::Jpeg),
@@ -27,7 +26,6 @@ impl PhotoFormat {
     }
 
     /// Media type.
-    #[must_use]
     pub fn media_type(self) -> &'static str {
         match self {
             Self::Jpeg => "image/jpeg",

@@ -23,13 +23,11 @@ const BOTTOM: u32 = 1 << 24;
 
 impl Bit {
     /// A model that starts with a probability of `p` in 65 536 for a 1.
-    #[must_use]
     pub const fn of(p: u16) -> Self {
         Self { quick: p, slow: p }
     }
 
     /// The slow estimate of the probability of a 1, in 65 536.
-    #[must_use]
     pub const fn slow(self) -> u16 {
         self.slow
     }
@@ -59,7 +57,6 @@ pub struct Encoder {
 
 impl Encoder {
     /// An empty stream.
-    #[must_use]
     pub fn new() -> Self {
         Self { low: 0, range: u32::MAX, held: 0, ones: 0, started: false, out: Vec::new() }
     }
@@ -98,7 +95,6 @@ impl Encoder {
     }
 
     /// Ends the stream. Omits trailing zero bytes; the decoder reads zeros there.
-    #[must_use]
     pub fn finish(mut self) -> Vec<u8> {
         for _ in 0..5 {
             self.shift();
@@ -118,7 +114,6 @@ pub struct Decoder<'a> {
 
 impl<'a> Decoder<'a> {
     /// Starts at the beginning of a stream.
-    #[must_use]
     pub fn new(data: &'a [u8]) -> Self {
         let mut d = Self { code: 0, range: u32::MAX, data };
         for _ in 0..4 {

@@ -19,7 +19,6 @@ pub struct TileRect {
 
 impl TileRect {
     /// The fewest whole tiles that cover `region`; `None` if it is empty or extends beyond the photo.
-    #[must_use]
     pub fn over(grid: &Grid, region: Rect) -> Option<Self> {
         let within = |from: u32, length: u32, side: u32| length > 0 && u64::from(from) + u64::from(length) <= u64::from(side);
         if !within(region.x, region.w, grid.width) || !within(region.y, region.h, grid.height) {

@@ -25,7 +25,6 @@ impl Piece {
     pub const NUMBERS: usize = 7;
 
     /// Decodes a piece from [`Self::NUMBERS`] integers.
-    #[must_use]
     pub fn of(n: &[u32; Self::NUMBERS]) -> Self {
         let [layer, u, v, w, h, flags, x] = n.map(|n| n as usize);
         Self { layer, from: (u, v), size: (w, h), mirrored: (flags & 1 != 0, flags & 2 != 0), x }
@@ -43,7 +42,6 @@ impl Piece {
 
 /// Renders pieces into a strip of `size` (width, height): RGBA, row by row, straight or premultiplied. `blur` must have the same rows as
 /// `photo`. `None` if a piece does not fit.
-#[must_use]
 pub fn strip(
     part: &TileLayers,
     (photo, blur): (&PhotoRows, &MirrorBlur),

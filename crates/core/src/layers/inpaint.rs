@@ -39,32 +39,27 @@ type Region = (Range<usize>, Range<usize>);
 
 impl<'a> Inpainter<'a> {
     /// Computes the visible surface, and excludes pixels that touch a nearer surface.
-    #[must_use]
     pub fn new(photo: &'a Photo, geometry: &Geometry) -> Self {
         Self::with_surface(geometry.grid, geometry.surface(), &photo.rgb)
     }
 
     /// Like [`Inpainter::new`] for some rows of the photo whose visible `surface` is known; `rgb` has the pixels of the same rows.
-    #[must_use]
     pub fn with_surface(grid: Grid, mut surface: Surface, rgb: &'a [[u8; 3]]) -> Self {
         surface.exclude_mixed();
         Self::with_sources(grid, surface, rgb)
     }
 
     /// Like [`Inpainter::with_surface`] for a surface from which mixed pixels are already excluded.
-    #[must_use]
     pub(crate) const fn with_sources(grid: Grid, sources: Surface, rgb: &'a [[u8; 3]]) -> Self {
         Self { rgb, grid, sources }
     }
 
     /// Colours of the hidden texels of a layer on `plane`, in their order. `class` has the [`Class`] of each texel in `rect`.
-    #[must_use]
     pub fn fill(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
         self.fill_some(tile, plane, rect, (class, class), pyramid)
     }
 
     /// Like [`Inpainter::fill`], but returns only colours of texels that are also hidden in `wanted`.
-    #[must_use]
     #[inline(never)]
     pub(crate) fn fill_some(
         &self,
@@ -97,7 +92,6 @@ impl<'a> Inpainter<'a> {
     }
 
     /// Colours of the hidden texels of all layers, tile by tile and layer by layer.
-    #[must_use]
     pub fn fill_all(&self, masks: &[LayerMasks]) -> Vec<Vec<Vec<[u8; 3]>>> {
         self.fill_tiles(0, masks)
     }

@@ -27,13 +27,11 @@ pub struct Tile {
 
 impl Tile {
     /// The smallest δ that this tile shows; `index` is its index in the grid.
-    #[must_use]
     pub fn min_disparity(&self, grid: &Grid, index: u32) -> f32 {
         self.disparities(grid, index).iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least })
     }
 
     /// δ of each pixel, row-major; `index` is the tile's index in the grid.
-    #[must_use]
     pub fn disparities(&self, grid: &Grid, index: u32) -> Vec<f32> {
         let (r, place) = (grid.rect(index), TileFrame::of(grid, index));
         let (mut us, mut planes, mut out) = (Vec::new(), Vec::new(), vec![0f32; r.area()]);
@@ -96,13 +94,11 @@ pub struct TileFrame {
 
 impl TileFrame {
     /// The frame of tile `index`.
-    #[must_use]
     pub fn of(grid: &Grid, index: u32) -> Self {
         Self { centre: grid.centre(index), half: grid.half() }
     }
 
     /// `v` of the centre of pixel row `y`.
-    #[must_use]
     pub fn v(&self, y: u32) -> f64 {
         (f64::from(y) + 0.5 - self.centre.1) / self.half
     }
@@ -114,14 +110,12 @@ impl TileFrame {
     }
 
     /// δ of a plane at the centre of pixel `(x, y)`.
-    #[must_use]
     pub fn disparity(&self, plane: &Plane, x: u32, y: u32) -> f32 {
         plane.disparity((f64::from(x) + 0.5 - self.centre.0) / self.half, (f64::from(y) + 0.5 - self.centre.1) / self.half) as f32
     }
 }
 
 /// The rectangle enlarged by `x` and `y` pixels on each side and clipped to the photo.
-#[must_use]
 pub fn grown(r: Rect, x: u32, y: u32, grid: &Grid) -> Rect {
     let (x0, y0) = (r.x.saturating_sub(x), r.y.saturating_sub(y));
     Rect { x: x0, y: y0, w: (r.x + r.w + x).min(grid.width) - x0, h: (r.y + r.h + y).min(grid.height) - y0 }
@@ -129,19 +123,16 @@ pub fn grown(r: Rect, x: u32, y: u32, grid: &Grid) -> Rect {
 
 impl Geometry {
     /// Number of planes in all tiles, including background planes.
-    #[must_use]
     pub fn planes(&self) -> usize {
         self.tiles.iter().map(|t| t.planes.len() + usize::from(t.background.is_some())).sum()
     }
 
     /// Masks of all layers, tile by tile.
-    #[must_use]
     pub fn masks(&self) -> Vec<LayerMasks> {
         self.extract(false)
     }
 
     /// Like [`Geometry::masks`], but with all hidden texels, including those that no camera can see. A baseline to evaluate pruning.
-    #[must_use]
     pub fn masks_unpruned(&self) -> Vec<LayerMasks> {
         self.extract(true)
     }
@@ -158,7 +149,6 @@ impl Geometry {
     }
 
     /// δ of the visible surface of the whole photo.
-    #[must_use]
     pub fn surface(&self) -> Surface {
         Surface::of(self, 0..self.grid.height)
     }

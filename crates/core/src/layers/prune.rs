@@ -20,7 +20,6 @@ const UNOCCLUDED: f64 = 0.004;
 impl ViewBox {
     /// Parallax in pixels (horizontal, vertical) of one unit of disparity within `rect`, between the reference view and the farthest camera
     /// of the box.
-    #[must_use]
     pub fn parallax(&self, k: &Intrinsics, rect: Rect) -> (f64, f64) {
         // forward motion moves a pixel in proportion to its distance from the principal point
         let reach = |from: u32, len: u32, c: f64| (f64::from(from) - c).abs().max((f64::from(from + len) - c).abs());

@@ -111,7 +111,6 @@ fn mark_body(in_front: &mut [u8], known: &[u32], known_delta: &[f32], now: &[u32
 
 impl SeenBackground {
     /// An empty memory.
-    #[must_use]
     pub fn new(grid: Grid) -> Self {
         let count = grid.width as usize * grid.height as usize;
         let pixels = Pixels {
@@ -133,7 +132,6 @@ impl SeenBackground {
     }
 
     /// Number of pixels at which something is remembered.
-    #[must_use]
     pub fn known(&self) -> usize {
         self.pixels.delta.iter().filter(|d| !d.is_nan()).count()
     }

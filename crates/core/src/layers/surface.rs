@@ -55,7 +55,6 @@ impl Surface {
     }
 
     /// δ of all pixels, row by row.
-    #[must_use]
     pub fn all(&self) -> &[f32] {
         &self.delta
     }

@@ -13,7 +13,6 @@ pub struct TexturedLayer {
 }
 
 /// Colours the hidden texels of all layers from the photo's pixels at or behind each layer. Mattes depth borders if `geometry.matted`.
-#[must_use]
 pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
     texture_tiles(geometry, geometry.surface(), &photo.rgb, 0, shapes)
 }
@@ -37,7 +36,6 @@ pub(crate) fn texture_tiles(
 }
 
 /// Joins the textured layers of all tiles into a scene.
-#[must_use]
 pub fn compose(photo: Photo, geometry: &Geometry, tiles: Vec<Vec<TexturedLayer>>) -> Scene {
     let (layers, texels) = join(0, tiles);
     Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }

@@ -22,14 +22,12 @@ pub struct Area {
 
 impl Area {
     /// All tiles of a grid.
-    #[must_use]
     pub fn all(grid: &Grid) -> Self {
         Self { column: 0, row: 0, columns: grid.columns(), rows: grid.rows() }
     }
 
     /// Rectangles that cover exactly the tiles for which `wanted` is true: runs within a row, merged with runs of the same columns in
     /// adjacent rows.
-    #[must_use]
     pub fn covering(grid: &Grid, wanted: impl Fn(u32) -> bool) -> Vec<Self> {
         let (mut areas, columns) = (Vec::<Self>::new(), grid.columns());
         for row in 0..grid.rows() {
@@ -64,7 +62,6 @@ impl Area {
 }
 
 /// The rectangle of tiles that a chunk covers.
-#[must_use]
 pub fn area(chunk: &Chunk) -> Area {
     Area { column: chunk.column, row: chunk.row, columns: chunk.columns, rows: chunk.rows }
 }

@@ -67,7 +67,6 @@ impl Learning {
     }
 
     /// The mean probabilities in the format of `coder_prior.in`.
-    #[must_use]
     pub fn finish(&self) -> String {
         let mean = |sum: &u64| sum.checked_div(self.chunks).unwrap_or(1 << 15).to_string();
         let all: Vec<String> = self.sums.iter().map(mean).collect();

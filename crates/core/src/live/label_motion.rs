@@ -75,7 +75,6 @@ pub struct MotionSearch<'a> {
 
 impl<'a> MotionSearch<'a> {
     /// Compares two frames that are `time` apart. Both frames, and the visible `surface`, have the size of the geometry's grid.
-    #[must_use]
     pub fn new(geometry: &'a Geometry, surface: &'a Surface, (was, now): (&'a [u32], &'a [u32]), time: Duration) -> Self {
         let mut changed = vec![0; now.len()];
         mark_changed(was, now, &mut changed);
@@ -87,7 +86,6 @@ impl<'a> MotionSearch<'a> {
 
     /// Motion of the nearer objects of a tile; `None` if they did not move. Also searches around the positions predicted from the motions
     /// `before` of this tile and its neighbours.
-    #[must_use]
     pub fn vector(&self, index: u32, before: &[Option<MotionVector>]) -> Option<MotionVector> {
         let grid = &self.geometry.grid;
         let (columns, rows) = (grid.columns(), grid.rows());
@@ -109,7 +107,6 @@ impl<'a> MotionSearch<'a> {
 
     /// The tile in the second frame, from the motion of its nearer objects; `None` if it does not change. If something enters from a
     /// neighbouring tile and lies on none of this tile's planes, the tile gets a fronto-parallel plane for it.
-    #[must_use]
     pub fn moved(&self, index: u32, MotionVector { x: dx, y: dy, .. }: MotionVector) -> Option<Tile> {
         let (grid, tile) = (&self.geometry.grid, self.geometry.tiles.get(index as usize)?);
         let rect = grid.rect(index);

@@ -71,20 +71,17 @@ pub struct Changes {
 
 impl Layers {
     /// Layers with a memory: they show what was visible before something moved in front of it, and their labels follow motion.
-    #[must_use]
     pub fn with_memory() -> Self {
         Self { remembers: true, follows: MAX_MOTION_FRAMES, ..Self::default() }
     }
 
     /// Limits the number of frames, after the frame of the last tiles, in which labels follow motion: at most [`MAX_MOTION_FRAMES`]. With
     /// 0, labels do not move.
-    #[must_use]
     pub fn with_motion_frames(self, frames: u32) -> Self {
         Self { follows: frames.min(MAX_MOTION_FRAMES), ..self }
     }
 
     /// The shown frame.
-    #[must_use]
     pub const fn photo(&self) -> &Photo {
         &self.photo
     }
@@ -97,25 +94,21 @@ impl Layers {
     }
 
     /// The memory, if these layers have one.
-    #[must_use]
     pub const fn memory(&self) -> Option<&SeenBackground> {
         self.memory.as_ref()
     }
 
     /// The shown tiles, if labels of some have followed motion; `None` if all are as received.
-    #[must_use]
     pub const fn moved_geometry(&self) -> Option<&Geometry> {
         self.moved_geometry.as_ref()
     }
 
     /// Layers and texels of a tile.
-    #[must_use]
     pub fn tile(&self, index: u32) -> Option<&TileLayers> {
         self.parts.get(index as usize)
     }
 
     /// Everything that is shown, as a scene with the grid and camera of `geometry`; empty before the first frame.
-    #[must_use]
     pub fn scene(&self, geometry: &Geometry) -> Scene {
         let (mut layers, mut texels) = (Vec::new(), Texels::default());
         for part in &self.parts {

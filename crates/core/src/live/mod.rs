@@ -72,7 +72,6 @@ impl LiveError {
 }
 
 /// Encodes a message.
-#[must_use]
 pub fn write(kind: Kind) -> prost::bytes::Bytes {
     Message { kind: Some(kind) }.encode_to_vec().into()
 }

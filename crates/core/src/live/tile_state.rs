@@ -38,7 +38,6 @@ impl TileState {
     }
 
     /// The HELLO message of a room whose tiles are those of `geometry`.
-    #[must_use]
     pub fn hello(geometry: &Geometry) -> Hello {
         let Geometry { grid, intrinsics: k, view_box: v, .. } = geometry;
         Hello {
@@ -59,13 +58,11 @@ impl TileState {
     }
 
     /// Number of tiles.
-    #[must_use]
     pub fn tiles(&self) -> u32 {
         self.geometry.grid.tiles()
     }
 
     /// All tiles; `None` until each is known.
-    #[must_use]
     pub fn geometry(&self) -> Option<&Geometry> {
         self.versions.iter().all(Option::is_some).then_some(&self.geometry)
     }

@@ -33,7 +33,6 @@ pub enum Matrix {
 
 impl Matrix {
     /// The matrix of a code point in ITU-T H.273, table 4; `None` if it is unspecified or unsupported.
-    #[must_use]
     pub const fn from_code(code: u8) -> Option<Self> {
         match code {
             1 => Some(Self::Bt709),
@@ -46,7 +45,6 @@ impl Matrix {
     }
 
     /// Its code point in ITU-T H.273, table 4.
-    #[must_use]
     pub const fn code(self) -> u8 {
         match self {
             Self::Bt709 => 1,
@@ -78,7 +76,6 @@ pub struct Colour {
 
 impl Colour {
     /// The colours that a stream signals. Without a matrix, full-range video uses JPEG's matrix, and other video BT.709, as in browsers.
-    #[must_use]
     pub fn signalled(matrix: Option<Matrix>, full_range: bool) -> Self {
         let silent = if full_range { Matrix::Bt601 } else { Matrix::Bt709 };
         Self { matrix: matrix.unwrap_or(silent), full_range }
@@ -101,7 +98,6 @@ const BITS: u32 = 14;
 
 /// Converts a picture to RGB in integer arithmetic; each chroma value applies to its four pixels. Server and pages share this conversion,
 /// so hidden colours that a viewer derives match what the server saw. `None` if a plane is too short.
-#[must_use]
 pub fn to_rgb(i: &I420, colour: Colour) -> Option<Photo> {
     let (w, h) = (i.width as usize, i.height as usize);
     let across = w.div_ceil(2);

@@ -4,13 +4,11 @@
 pub type Mat3 = [[f64; 3]; 3];
 
 /// Product `a · b`.
-#[must_use]
 pub fn mat3_mul(a: &Mat3, b: &Mat3) -> Mat3 {
     std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
 }
 
 /// Product `a · x`.
-#[must_use]
 pub fn mat3_vec(a: &Mat3, x: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| (0..3).map(|k| a[i][k] * x[k]).sum())
 }
@@ -34,27 +32,23 @@ impl Intrinsics {
     pub const DEFAULT_FOCAL_PER_WIDTH: f64 = 0.58;
 
     /// Square pixels, principal point at the centre, focal length `focal` in pixels.
-    #[must_use]
     pub fn centred(width: u32, height: u32, focal: f64) -> Self {
         Self { fx: focal, fy: focal, cx: f64::from(width) / 2.0, cy: f64::from(height) / 2.0 }
     }
 
     /// Square pixels and a horizontal field of view of `degrees`, in (0, 180).
-    #[must_use]
     pub fn from_fov_x(width: u32, height: u32, degrees: f64) -> Self {
         let half = f64::from(width) / 2.0;
         Self::centred(width, height, half / (degrees.to_radians() / 2.0).tan())
     }
 
     /// Horizontal field of view, in degrees, of a picture that is `width` pixels wide.
-    #[must_use]
     pub fn fov_x(&self, width: u32) -> f64 {
         2.0 * (f64::from(width) / 2.0 / self.fx).atan().to_degrees()
     }
 
     /// The intrinsics for another picture size `(width, height)`: keeps the horizontal field of view, the pixel aspect ratio, and the
     /// principal point's position relative to the centre.
-    #[must_use]
     pub fn resized(&self, from: (u32, u32), to: (u32, u32)) -> Self {
         let s = f64::from(to.0) / f64::from(from.0);
         let off = |c: f64, a: u32, b: u32| f64::from(b) / 2.0 + (c - f64::from(a) / 2.0) * s;
@@ -62,19 +56,16 @@ impl Intrinsics {
     }
 
     /// The matrix `K`.
-    #[must_use]
     pub fn matrix(&self) -> Mat3 {
         [[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]]
     }
 
     /// The matrix `K⁻¹`.
-    #[must_use]
     pub fn inverse(&self) -> Mat3 {
         [[1.0 / self.fx, 0.0, -self.cx / self.fx], [0.0, 1.0 / self.fy, -self.cy / self.fy], [0.0, 0.0, 1.0]]
     }
 
     /// True if all entries are finite and both focal lengths are positive.
-    #[must_use]
     pub fn is_valid(&self) -> bool {
         [self.fx, self.fy, self.cx, self.cy].iter().all(|v| v.is_finite()) && self.fx > 0.0 && self.fy > 0.0
     }
@@ -104,13 +95,11 @@ pub struct Pose {
 
 impl Pose {
     /// A pure translation of the camera.
-    #[must_use]
     pub fn at(tx: f64, ty: f64, tz: f64) -> Self {
         Self { tx, ty, tz, ..Self::default() }
     }
 
     /// Orientation `R_c = R_y(yaw) · R_x(pitch) · R_z(roll)`; its columns are the camera's axes in the reference frame.
-    #[must_use]
     pub fn orientation(&self) -> Mat3 {
         let (sy, cy) = self.yaw.to_radians().sin_cos();
         let (sp, cp) = self.pitch.to_radians().sin_cos();
@@ -122,7 +111,6 @@ impl Pose {
     }
 
     /// `(R, t)` with `X_t = R X + t`: `R = R_cᵀ`, `t = −R_cᵀ C`.
-    #[must_use]
     pub fn extrinsics(&self) -> (Mat3, [f64; 3]) {
         let rc = self.orientation();
         let r: Mat3 = std::array::from_fn(|i| std::array::from_fn(|j| rc[j][i]));
@@ -131,14 +119,12 @@ impl Pose {
     }
 
     /// The pose translated by `by`: right, down and forward along the camera's own axes.
-    #[must_use]
     pub fn shifted(&self, by: [f64; 3]) -> Self {
         let [x, y, z] = mat3_vec(&self.orientation(), by);
         Self { tx: self.tx + x, ty: self.ty + y, tz: self.tz + z, ..*self }
     }
 
     /// True if all entries are finite.
-    #[must_use]
     pub fn is_finite(&self) -> bool {
         [self.tx, self.ty, self.tz, self.yaw, self.pitch, self.roll].iter().all(|v| v.is_finite())
     }
@@ -179,7 +165,6 @@ pub struct Camera {
 ///
 /// For a reference pixel `(x, y)` in front of the reference camera, `H (x, y, 1)ᵀ = (x_t w, y_t w, w)`. The point is in front of the target
 /// camera if and only if `w > 0`; its disparity there is `δ / w`.
-#[must_use]
 pub fn homography(m: [f64; 3], reference: &Intrinsics, camera: &Camera) -> Mat3 {
     let (r, t) = camera.pose.extrinsics();
     let rt: Mat3 = std::array::from_fn(|i| std::array::from_fn(|j| r[i][j] + t[i] * m[j]));

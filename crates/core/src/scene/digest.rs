@@ -7,7 +7,6 @@ use super::Scene;
 impl Scene {
     /// SHA-256 of a decoded scene, as hexadecimal digits. Hashes, little-endian, each layer's tile (u32), plane (three f64) and rectangle
     /// (four u32); then all classes, alphas and hidden colours.
-    #[must_use]
     pub fn digest(&self) -> String {
         let mut hash = Sha256::new();
         for l in &self.layers {

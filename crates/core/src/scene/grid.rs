@@ -19,13 +19,11 @@ pub struct Rect {
 
 impl Rect {
     /// Number of pixels.
-    #[must_use]
     pub fn area(&self) -> usize {
         self.w as usize * self.h as usize
     }
 
     /// True if `other` lies within this rectangle.
-    #[must_use]
     pub fn contains(&self, other: &Rect) -> bool {
         let end = |a: u32, b: u32| u64::from(a) + u64::from(b);
         other.x >= self.x
@@ -72,39 +70,33 @@ pub struct Grid {
 
 impl Grid {
     /// Tiles of `size` pixels with the paper's stride `r = h − h/8`.
-    #[must_use]
     pub fn new(width: u32, height: u32, size: u32) -> Self {
         Self { width, height, size, stride: (size - size / 8).max(1) }
     }
 
     /// One tile as large as the photo: a regular MPI.
-    #[must_use]
     pub fn full(width: u32, height: u32) -> Self {
         let size = width.max(height);
         Self { width, height, size, stride: size }
     }
 
     /// Number of tiles in a row.
-    #[must_use]
     pub fn columns(&self) -> u32 {
         Self::count(self.width, self.size, self.stride)
     }
 
     /// Number of tiles in a column.
-    #[must_use]
     pub fn rows(&self) -> u32 {
         Self::count(self.height, self.size, self.stride)
     }
 
     /// Number of all tiles.
-    #[must_use]
     pub fn tiles(&self) -> u32 {
         self.columns() * self.rows()
     }
 
     /// The grid of some columns and rows of tiles, and the rectangle of the photo that it covers. Neither range may be empty or extend past
     /// the last tile.
-    #[must_use]
     pub fn part(&self, columns: Range<u32>, rows: Range<u32>) -> (Rect, Self) {
         let side = |tiles: &Range<u32>, length: u32| {
             let from = tiles.start * self.stride;
@@ -121,21 +113,18 @@ impl Grid {
     }
 
     /// Pixels of tile `index` (row-major), clipped to the photo.
-    #[must_use]
     pub fn rect(&self, index: u32) -> Rect {
         let (x, y) = self.origin(index);
         Rect { x, y, w: self.size.min(self.width - x), h: self.size.min(self.height - y) }
     }
 
     /// Upper left pixel of tile `index`.
-    #[must_use]
     pub fn origin(&self, index: u32) -> (u32, u32) {
         let columns = self.columns();
         ((index % columns) * self.stride, (index / columns) * self.stride)
     }
 
     /// Centre of tile `index` before clipping, in photo pixels: the origin of `(u, v)` for its planes.
-    #[must_use]
     pub fn centre(&self, index: u32) -> (f64, f64) {
         let (x, y) = self.origin(index);
         (f64::from(x) + self.half(), f64::from(y) + self.half())
@@ -147,7 +136,6 @@ impl Grid {
     /// Beyond a tile's last half texel, sampling could only repeat it, which shows as a displaced column. Where two tiles overlap, the
     /// nearer one would hide the more accurate one, and soft edges would be blended twice. The rest of the overlap prevents gaps between
     /// neighbours.
-    #[must_use]
     pub fn inset(&self) -> f64 {
         // an odd number of halves, so that the drawn area starts and ends at texel centres
         match self.size.saturating_sub(self.stride) {
@@ -159,7 +147,6 @@ impl Grid {
 
     /// The drawn part of a layer of tile `index` with texels in `rect`: `[[left, right], [top, bottom]]` in pixels from the rectangle's
     /// upper left corner. Nothing is drawn if an end lies before its start.
-    #[must_use]
     pub fn drawn(&self, index: u32, rect: Rect) -> [[f64; 2]; 2] {
         let (tile, by) = (self.rect(index), self.inset());
         let side = |from: u32, size: u32, tile: u32, length: u32, all: u32| {
@@ -172,7 +159,6 @@ impl Grid {
     }
 
     /// Half the tile size in pixels: the unit of `(u, v)`.
-    #[must_use]
     pub fn half(&self) -> f64 {
         f64::from(self.size) / 2.0
     }

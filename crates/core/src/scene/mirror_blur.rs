@@ -30,7 +30,6 @@ struct Level<T> {
 
 impl MirrorBlur {
     /// Builds the pyramid for a photo of `size` (width, height); `rgb` holds whole rows from row `top` on.
-    #[must_use]
     pub fn new(rgb: &[[u8; 3]], size: [u32; 2], top: u32) -> Self {
         let size = size.map(|v| v as usize);
         let mut levels: Vec<Level<Vec<_>>> = Vec::with_capacity(COARSEST);

@@ -15,13 +15,11 @@ pub struct Photo {
 
 impl Photo {
     /// A photo of the pixels that `rgb` gives for each `(x, y)`.
-    #[must_use]
     pub fn from_fn(width: u32, height: u32, rgb: impl Fn(u32, u32) -> [u8; 3]) -> Self {
         Self { width, height, rgb: row_by_row(width, height, rgb) }
     }
 
     /// The pixel at `(x, y)`, which must be inside the photo.
-    #[must_use]
     pub fn at(&self, x: u32, y: u32) -> [u8; 3] {
         self.rgb[y as usize * self.width as usize + x as usize]
     }
@@ -40,7 +38,6 @@ pub struct DisparityMap {
 
 impl DisparityMap {
     /// A map of the disparities that `delta` gives for each `(x, y)`.
-    #[must_use]
     pub fn from_fn(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> Self {
         Self { width, height, delta: row_by_row(width, height, delta) }
     }
@@ -165,7 +162,6 @@ impl Scene {
     }
 
     /// Memory use of the scene, in bytes.
-    #[must_use]
     pub fn memory(&self) -> usize {
         size_of::<Self>()
             + size_of_val(self.photo.rgb.as_slice())

@@ -25,14 +25,12 @@ fn words_body(rgb: &[[u8; 3]], out: &mut [u32]) {
 }
 
 /// Converts a word back to a colour.
-#[must_use]
 pub const fn of_word(word: u32) -> [u8; 3] {
     let [r, g, b, _] = word.to_le_bytes();
     [r, g, b]
 }
 
 /// Absolute difference of two colours in levels, summed over the channels: 0 to 765.
-#[must_use]
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 pub fn difference(a: u32, b: u32) -> u32 {

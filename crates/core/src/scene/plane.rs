@@ -21,13 +21,11 @@ impl Plane {
     pub const STEP: f64 = 1.0 / 16_384.0;
 
     /// A fronto-parallel plane of disparity `a`.
-    #[must_use]
     pub const fn fronto_parallel(a: f64) -> Self {
         Self { a, b: 0.0, c: 0.0 }
     }
 
     /// δ at `(u, v)`, in units of half a tile from the tile's centre.
-    #[must_use]
     pub fn disparity(&self, u: f64, v: f64) -> f64 {
         self.a + self.b * u + self.c * v
     }
@@ -35,28 +33,24 @@ impl Plane {
     /// The vector `m` with `δ = mᵀ (x, y, 1)` in normalised image coordinates, so that the plane is `mᵀ X = 1` in space.
     ///
     /// `centre` and `half` (the tile's centre and half its size) are in reference pixels.
-    #[must_use]
     pub fn normal(&self, centre: (f64, f64), half: f64, k: &Intrinsics) -> [f64; 3] {
         let (bx, by) = (self.b / half, self.c / half);
         [bx * k.fx, by * k.fy, self.a + bx * (k.cx - centre.0) + by * (k.cy - centre.1)]
     }
 
     /// The nearest plane with coefficients that are multiples of [`Plane::STEP`]. Clamps values beyond ±2; NaN becomes 0.
-    #[must_use]
     pub fn quantised(&self) -> Self {
         let q = |v: f64| f64::from(Self::to_grid(v)) * Self::STEP;
         Self { a: q(self.a), b: q(self.b), c: q(self.c) }
     }
 
     /// One coefficient in units of [`Plane::STEP`], rounded.
-    #[must_use]
     pub fn to_grid(v: f64) -> i16 {
         // `as` saturates, and maps NaN to 0
         (v / Self::STEP).round() as i16
     }
 
     /// True if all coefficients are finite.
-    #[must_use]
     pub fn is_finite(&self) -> bool {
         self.a.is_finite() && self.b.is_finite() && self.c.is_finite()
     }

@@ -42,7 +42,6 @@ farthest apart; mean over the photo.</dd>\
 <dt>container, KB</dt><dd>What a viewer downloads.</dd></dl></details>";
 
 /// The results as an HTML page.
-#[must_use]
 pub fn html(r: &Results) -> String {
     let m = &r.machine;
     let mut out = format!(

@@ -90,13 +90,11 @@ pub struct Checked {
 
 impl Checked {
     /// Count of the cases that failed.
-    #[must_use]
     pub fn failed(&self) -> usize {
         self.cases.iter().filter(|c| c.verdict == Verdict::Fail).count()
     }
 
     /// The cases by kernel, in the order in which they ran.
-    #[must_use]
     pub fn kernels(&self) -> Vec<Kernel> {
         let mut kernels: Vec<Kernel> = Vec::new();
         for case in &self.cases {
@@ -150,7 +148,6 @@ impl Hosts {
 }
 
 /// Runs all cases.
-#[must_use]
 pub fn run() -> Checked {
     let mut checked = Checked::default();
     let hosts = Hosts::new(&mut checked.skipped);
@@ -166,7 +163,6 @@ pub fn run() -> Checked {
 }
 
 /// What the corners of the view box see, on all photos of `folders`.
-#[must_use]
 pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
     let mut checked = Checked::default();
     view_box_corners::run(&mut checked, folders, models);

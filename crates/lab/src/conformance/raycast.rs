@@ -37,14 +37,12 @@ struct Hit {
 }
 
 /// The view, premultiplied, 0 to 255 a channel: all that a ray meets, the nearest first.
-#[must_use]
 pub fn cast(scene: &Scene, camera: &Camera) -> Vec<[f64; 4]> {
     cast_in(scene, camera, |hits| hits.sort_by(|a, b| b.delta.total_cmp(&a.delta).then(b.index.cmp(&a.index))))
 }
 
 /// The view as `tmpi.wgsl` defines it, which a GPU draws: the nearest opaque sample, and before it the soft ones in the order of their layers' mean
 /// disparities. It differs from [`cast`] where soft layers cross each other.
-#[must_use]
 pub fn cast_in_layer_order(scene: &Scene, camera: &Camera) -> Vec<[f64; 4]> {
     let forward = if turned(&camera.pose, [0.0, 0.0, 1.0])[2] < 0.0 { -1.0 } else { 1.0 };
     let is_opaque = |hit: &Hit| hit.rgba[3] >= f64::from(OPAQUE) * 255.0;

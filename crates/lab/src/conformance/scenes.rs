@@ -18,7 +18,6 @@ pub struct Builder(pub Scene);
 
 impl Builder {
     /// A scene without layers over a smooth, colourful photo with a sharp checkerboard in one quarter.
-    #[must_use]
     pub fn new(grid: Grid) -> Self {
         let (w, h) = (grid.width, grid.height);
         let pixel = |i: u32| {
@@ -62,7 +61,6 @@ impl Builder {
     }
 
     /// The plane of tile `tile` on which `δ = at(x, y)` (affine in photo pixels).
-    #[must_use]
     pub fn plane(&self, tile: u32, at: impl Fn(f64, f64) -> f64) -> Plane {
         let ((x, y), half) = (self.0.grid.centre(tile), self.0.grid.half());
         let a = at(x, y);
@@ -71,7 +69,6 @@ impl Builder {
 }
 
 /// One fronto-parallel layer over the whole photo.
-#[must_use]
 pub fn flat(width: u32, height: u32, delta: f64) -> Scene {
     let mut b = Builder::new(Grid::full(width, height));
     b.layer(0, Plane::fronto_parallel(delta), (1.0, 1.0), |_, _| Texel::Photo(255));
@@ -79,7 +76,6 @@ pub fn flat(width: u32, height: u32, delta: f64) -> Scene {
 }
 
 /// Columns that lie on planes of these disparities in turn, in tiles; hidden texels of the planes behind.
-#[must_use]
 pub fn close(deltas: &[f64]) -> Scene {
     let mut b = Builder::new(Grid::new(160, 100, 64));
     for tile in 0..b.0.grid.tiles() {
@@ -108,7 +104,6 @@ fn noise([far, near]: [f64; 2]) -> Scene {
 }
 
 /// Layers of one colour each over the whole photo.
-#[must_use]
 pub fn stack(width: u32, height: u32, colours: &[[u8; 4]], delta: &[f64]) -> Scene {
     let mut b = Builder::new(Grid::full(width, height));
     for (c, &d) in colours.iter().zip(delta) {
@@ -118,7 +113,6 @@ pub fn stack(width: u32, height: u32, colours: &[[u8; 4]], delta: &[f64]) -> Sce
 }
 
 /// A slanted ground over overlapping tiles: one plane in space, written in every tile's own coordinates.
-#[must_use]
 pub fn ground(width: u32, height: u32, size: u32) -> Scene {
     let mut b = Builder::new(Grid::new(width, height, size));
     for tile in 0..b.0.grid.tiles() {
@@ -129,7 +123,6 @@ pub fn ground(width: u32, height: u32, size: u32) -> Scene {
 }
 
 /// A disc with a soft rim at δ = .8 before a background of disparity `far` (hidden texels behind the disc), tiles of `size`.
-#[must_use]
 pub fn disc(width: u32, height: u32, size: u32, far: f64) -> Scene {
     let mut b = Builder::new(Grid::new(width, height, size));
     let radius = f64::from(height) * 0.3;
@@ -149,7 +142,6 @@ pub fn disc(width: u32, height: u32, size: u32, far: f64) -> Scene {
 }
 
 /// What a photo gives: tiles of 64, a slanted ground, upright figures with soft rims before it, hidden texels behind them; 3 to 4 layers a tile.
-#[must_use]
 pub fn typical(width: u32, height: u32) -> Scene {
     let mut b = Builder::new(Grid::new(width, height, 64));
     let (w, h) = (f64::from(width), f64::from(height));
@@ -184,7 +176,6 @@ pub fn typical(width: u32, height: u32) -> Scene {
 }
 
 /// Every scene of the comparison, with its name.
-#[must_use]
 pub fn all() -> Vec<(&'static str, Scene)> {
     let (w, h) = (200, 120);
     let mut out = vec![
@@ -262,20 +253,17 @@ pub fn all() -> Vec<(&'static str, Scene)> {
 }
 
 /// Camera of the scene's field of view at `pose`, for a view of `width × height`.
-#[must_use]
 pub fn camera(scene: &Scene, pose: Pose, width: u32, height: u32) -> Camera {
     let from = (scene.photo.width, scene.photo.height);
     Camera { pose, intrinsics: scene.intrinsics.resized(from, (width, height)), width, height }
 }
 
 /// The camera of the photo at `pose`.
-#[must_use]
 pub fn own_camera(scene: &Scene, pose: Pose) -> Camera {
     Camera { pose, intrinsics: scene.intrinsics, width: scene.photo.width, height: scene.photo.height }
 }
 
 /// Every camera of the comparison, with its name.
-#[must_use]
 pub fn cameras(scene: &Scene) -> Vec<(&'static str, Camera)> {
     let (w, h) = (scene.photo.width, scene.photo.height);
     let own = |pose: Pose| own_camera(scene, pose);

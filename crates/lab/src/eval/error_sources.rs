@@ -39,7 +39,6 @@ pub struct Sources {
 
 impl Sources {
     /// Sum of all sources.
-    #[must_use]
     pub fn total(&self) -> f64 {
         self.hidden + self.edges + self.geometry + self.resampling
     }

@@ -30,7 +30,6 @@ struct Vertex {
 ///
 /// The mesh is torn where an edge would be longer than `longest` pixels of the view. There, each of its pixels still covers its own square:
 /// a surface ends at the border of its last pixel, not at its centre.
-#[must_use]
 pub fn warp(photo: &Photo, map: &DisparityMap, reference: &Intrinsics, camera: &Camera, longest: f64) -> Warp {
     let (w, h) = (photo.width as usize, photo.height as usize);
     let (r, t) = camera.pose.extrinsics();
@@ -73,7 +72,6 @@ impl Warp {
     }
 
     /// Whether the mesh covers the centre of a pixel.
-    #[must_use]
     pub fn covers(&self, pixel: usize) -> bool {
         self.depth[pixel] > f64::NEG_INFINITY
     }

@@ -66,7 +66,6 @@ fn ways() -> Vec<(&'static str, Option<Options>)> {
 }
 
 /// Names of all ways.
-#[must_use]
 pub fn names() -> Vec<&'static str> {
     ways().into_iter().map(|w| w.0).collect()
 }
@@ -328,7 +327,6 @@ fn seen(camera: &Camera, fit: Fit) -> Camera {
 
 impl Results {
     /// Formats the results as a table for people.
-    #[must_use]
     pub fn table(&self) -> String {
         use std::fmt::Write;
         let mut out = format!("{} views", self.views);

@@ -10,7 +10,6 @@ use crate::LabError;
 const SOUND: (usize, usize) = (32_000, 50);
 
 /// Bytes of sound per frame at 30 frames a second, including messages.
-#[must_use]
 pub fn sound_bytes() -> f64 {
     let data = vec![0; SOUND.0 / 8 / SOUND.1].into();
     // about two weeks in microseconds, like a clock that counts since boot

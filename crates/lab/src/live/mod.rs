@@ -112,7 +112,6 @@ fn by_name<S: Serializer>(figures: &[(String, f64)], to: S) -> Result<S::Ok, S::
 
 impl Row {
     /// A figure; `None` if the sequence has none of this name.
-    #[must_use]
     pub fn get(&self, name: &str) -> Option<f64> {
         self.figures.iter().find(|f| f.0 == name).map(|f| f.1)
     }

@@ -4,7 +4,6 @@ use tmpi_core::{Geometry, Rect};
 
 /// For the pixels common to two neighbours: the mean distance, in pixels, between the positions at which they show the point, seen from the
 /// border of the view box; and the fraction with a distance of more than a pixel.
-#[must_use]
 pub fn seams(g: &Geometry) -> (f64, f64) {
     let (grid, columns) = (&g.grid, g.grid.columns());
     let all = Rect { x: 0, y: 0, w: grid.width, h: grid.height };

@@ -22,7 +22,6 @@ impl Kind {
     pub const ALL: [Self; 4] = [Self::Still, Self::Measured, Self::Moving, Self::Cut];
 
     /// Name in results.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Still => "still camera",
@@ -33,7 +32,6 @@ impl Kind {
     }
 
     /// Name in file names.
-    #[must_use]
     pub const fn slug(self) -> &'static str {
         match self {
             Self::Still => "still",
@@ -89,7 +87,6 @@ pub struct Sequence {
 
 impl Sequence {
     /// A sequence of `frames` frames of this size, with scenes from `seed` on.
-    #[must_use]
     pub fn new(kind: Kind, seed: u64, (width, height): (u32, u32), frames: u32, side_offset: f64) -> Self {
         let scenes = [Scene::framed(seed, width, height), Scene::framed(seed + 1, width, height)];
         let camera = scenes[0].camera();
@@ -103,7 +100,6 @@ impl Sequence {
     }
 
     /// View of frame `n` without noise, from a camera offset from that frame's camera.
-    #[must_use]
     pub fn view(&self, n: u32, (tx, ty): (f64, f64)) -> Photo {
         let mut picture = self.picture_from(self.scene(n), (self.camera_at(n) + tx, ty));
         if self.kind != Kind::Moving {
@@ -113,13 +109,11 @@ impl Sequence {
     }
 
     /// Intrinsics of the camera.
-    #[must_use]
     pub const fn intrinsics(&self) -> Intrinsics {
         self.camera.intrinsics
     }
 
     /// Pose of the side view, relative to the frame's camera.
-    #[must_use]
     pub fn side_pose(&self) -> Pose {
         Pose::at(self.side_offset, 0.0, 0.0)
     }
@@ -140,7 +134,6 @@ impl Sequence {
     }
 
     /// Renders frame `n`.
-    #[must_use]
     pub fn shot(&self, n: u32) -> Shot {
         let moved;
         let [here, side] = if self.kind == Kind::Moving {
@@ -163,7 +156,6 @@ impl Sequence {
     }
 
     /// Frame `n` without the object; `None` if the camera moves.
-    #[must_use]
     pub fn plate(&self, n: u32) -> Option<&Picture> {
         (self.kind != Kind::Moving).then(|| &self.still[self.scene(n)][0])
     }

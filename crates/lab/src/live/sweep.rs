@@ -85,7 +85,6 @@ const FIGURES: [(&str, &str, usize); 11] = [
 
 impl Points {
     /// The results as a text table: all figures with a column for each sequence, or some with a line for each if there are several points.
-    #[must_use]
     pub fn table(&self) -> String {
         if self.points.iter().all(|p| p.at == self.points[0].at) { self.all_figures() } else { self.lines() }
     }
@@ -119,7 +118,6 @@ impl Points {
     }
 
     /// The results as a page with plots of error against run time and bytes.
-    #[must_use]
     pub fn page(&self) -> String {
         let about = "Side views against the truth; means over the frames of one run of each sequence.";
         let time = Axis::new("server, ms per frame", true, Some(false));

@@ -39,7 +39,6 @@ type Channels = [Vec<f64>; 3];
 ///
 /// # Panics
 /// Panics if the pictures differ in size, or `width` does not divide their length.
-#[must_use]
 pub fn flip_map(reference: &[[u8; 3]], test: &[[u8; 3]], width: usize) -> Vec<f64> {
     assert!(reference.len() == test.len(), "the pictures must have the same size");
     assert!(width > 0 && reference.len().is_multiple_of(width), "the width must divide the number of pixels");
@@ -60,7 +59,6 @@ pub fn flip_map(reference: &[[u8; 3]], test: &[[u8; 3]], width: usize) -> Vec<f6
 ///
 /// # Panics
 /// As [`flip_map`].
-#[must_use]
 pub fn flip(reference: &[[u8; 3]], test: &[[u8; 3]], width: usize) -> f64 {
     let map = flip_map(reference, test, width);
     map.iter().sum::<f64>() / map.len().max(1) as f64

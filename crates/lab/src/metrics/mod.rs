@@ -11,13 +11,11 @@ pub use tmpi_render::difference::{MAX_PSNR, max_abs, psnr, psnr_of, share_off};
 pub const CROP: f64 = 0.15;
 
 /// Number of columns or rows that are cropped on each side of so many.
-#[must_use]
 pub fn margin(side: usize) -> usize {
     (side as f64 * CROP) as usize
 }
 
 /// A picture with `width` pixels per row, without [`margin`] on each side.
-#[must_use]
 pub fn cropped<T: Copy>(picture: &[T], width: usize) -> Vec<T> {
     let height = picture.len() / width;
     let (x, y) = (margin(width), margin(height));

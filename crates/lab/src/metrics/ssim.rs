@@ -11,7 +11,6 @@ const C2: f64 = 9e-4;
 /// pixels per row; the map of an empty picture is empty.
 ///
 /// Source: Wang et al., Image Quality Assessment: From Error Visibility to Structural Similarity, 2004.
-#[must_use]
 pub fn ssim_map(a: &[[u8; 3]], b: &[[u8; 3]], width: usize) -> Vec<f32> {
     let pixels = a.len().min(b.len());
     if width == 0 || pixels == 0 {

@@ -11,7 +11,6 @@ const APART: f32 = 0.05;
 
 /// For each hidden texel of a layer, in order: the colour of the `hidden` surface if it lies on the layer's plane, clearly behind the
 /// `visible` surface.
-#[must_use]
 pub fn of_layer(shape: &LayerMask, place: TileFrame, visible: &DisparityMap, hidden: &Picture) -> Vec<Option<[u8; 3]>> {
     let (r, w) = (shape.rect, visible.width as usize);
     let texels = shape.class.iter().enumerate().filter(|(_, c)| **c == Class::Hidden as u8);

@@ -81,13 +81,11 @@ impl Rays {
 impl Scene {
     /// The scene of a seed, scaled so that the nearest surface in the reference picture of `width × height` pixels (each at
     /// least 1) has disparity 1.
-    #[must_use]
     pub fn framed(seed: u64, width: u32, height: u32) -> Self {
         Self::of(seed, width, height, &Assets::default())
     }
 
     /// Like [`Self::framed`], with pictures and models.
-    #[must_use]
     pub fn of(seed: u64, width: u32, height: u32, assets: &Assets) -> Self {
         let size = (width.max(1), height.max(1));
         let mut last = None;
@@ -110,13 +108,11 @@ impl Scene {
 
     /// The scene's family: `room`, `corridor`, `lounge`, `kitchen`, `street`, `field`, `water`, `terrain`, `crowd`, `thin`, `foliage`,
     /// `shelf`, `heap`, `table`, `closeup`, `drape`, `figures` or `floating`; with models also `inside`.
-    #[must_use]
     pub fn family(&self) -> &'static str {
         self.family
     }
 
     /// The reference camera, at the size that the scene is scaled for.
-    #[must_use]
     pub fn camera(&self) -> Camera {
         let (width, height) = self.size;
         let half = f64::from(width.max(height)) * 0.5;
@@ -180,7 +176,6 @@ impl Scene {
     }
 
     /// Renders the scene for a camera, with up to `supersampling`² colour samples per pixel at edges.
-    #[must_use]
     pub fn render(&self, camera: &Camera, supersampling: u32) -> Picture {
         self.draw(camera, supersampling, false, |o, d| self.world.trace(o, d, NEAR, 0))
     }
@@ -188,7 +183,6 @@ impl Scene {
     /// Renders the surface behind the visible one: along each ray, the first surface of another object. If the ray hits the sky, or there
     /// is nothing behind, colour and disparity are those of the sky. Only samples of the object at the pixel's centre count, because
     /// surfaces behind both sides of a silhouette are unrelated.
-    #[must_use]
     pub fn hidden(&self, camera: &Camera, supersampling: u32) -> Picture {
         self.draw(camera, supersampling, true, |o, d| {
             let first = self.world.trace(o, d, NEAR, 0)?;

@@ -20,7 +20,6 @@ pub(super) struct Levels {
 
 impl Pictures {
     /// Prepares photographs as textures; ignores empty ones.
-    #[must_use]
     pub fn new(photos: &[Photo]) -> Self {
         Self(photos.iter().filter(|p| !p.rgb.is_empty()).map(|p| Arc::new(Levels::new(p))).collect())
     }

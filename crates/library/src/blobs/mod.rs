@@ -52,7 +52,6 @@ pub(crate) enum Source {
 
 impl Content {
     /// A content from bytes.
-    #[must_use]
     pub fn of_bytes(bytes: impl Into<Bytes>) -> Self {
         let bytes = bytes.into();
         Self { bytes: bytes.len() as u64, digest: Digest::of(&bytes), source: Source::Bytes(bytes) }
@@ -60,19 +59,16 @@ impl Content {
 
     /// A content from a file in [`Library::incoming`](crate::Library::incoming), with the size and digest computed while it was written.
     /// Storing the content removes the file.
-    #[must_use]
     pub const fn of_file(path: PathBuf, bytes: u64, digest: Digest) -> Self {
         Self { source: Source::File(path), bytes, digest }
     }
 
     /// Its size in bytes.
-    #[must_use]
     pub const fn bytes(&self) -> u64 {
         self.bytes
     }
 
     /// Its digest.
-    #[must_use]
     pub const fn digest(&self) -> &Digest {
         &self.digest
     }
@@ -160,7 +156,6 @@ impl BlobStore {
     }
 
     /// Free space of the disk; `None` for an object store.
-    #[must_use]
     pub fn disk_space(&self) -> Option<DiskSpace> {
         let Backend::Folder(folder) = &self.0 else { return None };
         folder.disk_space()
@@ -251,7 +246,6 @@ impl BlobStore {
     }
 
     /// The file of a blob, if the store is a local folder.
-    #[must_use]
     pub fn path(&self, blob: &Blob) -> Option<PathBuf> {
         let Backend::Folder(folder) = &self.0 else { return None };
         Some(folder.path(&blob.name))

@@ -10,7 +10,6 @@ const BAND: usize = 64;
 
 /// Filters `delta` with windows of `(2·radius + 1)²` pixels. `epsilon` is the variance of luminance (in 0..=1) below which it smooths
 /// instead of following the photo. The map must be finite, and so is the result.
-#[must_use]
 pub fn filter(photo: &Photo, delta: &DisparityMap, radius: u32, epsilon: f32) -> DisparityMap {
     let (w, h, r) = (delta.width as usize, delta.height as usize, radius as usize);
     let guide: Vec<f32> = photo.rgb.par_iter().map(|p| luminance(*p)).collect();

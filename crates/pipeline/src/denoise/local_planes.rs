@@ -36,7 +36,6 @@ pub struct Degradation {
 
 impl Degradation {
     /// Measures a finite map. Noise is the median of mixed second differences (Immerkær 1996), which edges and slopes hardly change.
-    #[must_use]
     pub fn of(map: &DisparityMap) -> Self {
         let (w, h) = (map.width as usize, map.height as usize);
         if w < 3 || h < 3 {
@@ -68,7 +67,6 @@ impl Degradation {
     }
 
     /// Whether cleaning helps.
-    #[must_use]
     pub fn found(self) -> bool {
         self.noisy() || self.outliers >= SPOTTED
     }
@@ -79,7 +77,6 @@ impl Degradation {
 }
 
 /// Cleans a map; the result is within 0..=1. Returns the same map if [`Degradation::found`] is false.
-#[must_use]
 pub fn denoise(map: &DisparityMap) -> DisparityMap {
     let damage = Degradation::of(map);
     if !damage.found() {

@@ -13,7 +13,6 @@ const RADIUS: u32 = 3;
 const EPSILON: f32 = 1e-4;
 
 /// Runs the median, then the guided filter. The result is finite for any map.
-#[must_use]
 pub fn denoise(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     guided_filter::filter(photo, &median(delta), RADIUS, EPSILON)
 }

@@ -18,7 +18,6 @@ const MARGIN: usize = 48;
 const LEAST: f32 = 1e-3;
 
 /// Whether a map has something for Θ to repair: noise, outliers, or edges blurred to ramps. Θ makes any other map a little worse.
-#[must_use]
 pub fn wanted(delta: &DisparityMap) -> bool {
     Degradation::of(delta).found() || edges::ramp_share(delta) > edges::BLURRED
 }

@@ -38,7 +38,6 @@ pub enum Sampling {
 }
 
 /// Pixels that [`Sampling::Mirrored`] adds at either end of a side of `side` pixels: 3·√(side / 2).
-#[must_use]
 pub fn margin(side: u32) -> u32 {
     ((f64::from(side) / 2.0).sqrt() * 3.0) as u32
 }
@@ -196,7 +195,6 @@ pub const ADAPTERS: [Adapter; 14] = [
 ];
 
 /// Finds a network by its name.
-#[must_use]
 pub fn adapter(name: &str) -> Option<&'static Adapter> {
     ADAPTERS.iter().find(|a| a.name == name)
 }
@@ -215,7 +213,6 @@ impl Adapter {
     const MAX_PIXELS: f64 = 2e6;
 
     /// Width and height at which the network runs for a photo of `width × height`, each at least 1.
-    #[must_use]
     pub fn network_size(&self, width: u32, height: u32) -> (u32, u32) {
         match self.size {
             SizeRule::Fixed(w, h) => (w, h),
@@ -254,7 +251,6 @@ impl Adapter {
 
     /// Sizes for a photo of `width × height`, from [`Adapter::network_size`] down to a quarter of its pixels, with about the photo's
     /// aspect. If the network has a fixed size, only that one.
-    #[must_use]
     pub fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
         let first = self.network_size(width, height);
         let mut sizes = vec![first];
@@ -279,7 +275,6 @@ impl Adapter {
     }
 
     /// Intermediate size in whole pixels to which a photo of `width × height` is resampled first, if the rule has one.
-    #[must_use]
     pub fn intermediate_size(&self, width: u32, height: u32) -> Option<(u32, u32)> {
         let SizeRule::Longest(side) = self.size else { return None };
         let (width, height) = self.squeezed(width, height);

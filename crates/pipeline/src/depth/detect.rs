@@ -27,7 +27,6 @@ const WORDS: [(&[&str], &str); 13] = [
 
 /// Detects the adapter of an ONNX file: by words of its name, else of the three folders above it, else by its graph: the names of its
 /// inputs and outputs, else its fixed size. Returns `None` if nothing identifies it.
-#[must_use]
 pub fn detect(file: &Path) -> Option<&'static Adapter> {
     let graph = File::open(file).ok().and_then(|f| onnx_graph(&mut BufReader::new(f)));
     let named = file.ancestors().take(4).filter_map(|p| p.file_name()?.to_str()).find_map(by_name);

@@ -286,7 +286,6 @@ pub(super) fn resize(source: &[f32], (w, h): (usize, usize), (width, height): (u
 }
 
 /// Resamples a map to another size without mixing across edges.
-#[must_use]
 pub fn resized(map: &DisparityMap, width: u32, height: u32) -> DisparityMap {
     resize(&map.delta, (map.width as usize, map.height as usize), (width, height))
 }

@@ -28,7 +28,6 @@ pub struct Monocular {
 
 impl Monocular {
     /// Depth by `network`, which takes one picture and returns, as its first output, what `adapter` describes.
-    #[must_use]
     pub fn new(adapter: &Adapter, network: Arc<dyn Network>) -> Self {
         Self { adapter: *adapter, rule: adapter.size, network, io: OnnxIo::PLAIN }
     }

@@ -17,7 +17,6 @@ struct Sample {
 /// these the ones nearest to a grid of 64 × 64. Returns 0 if fewer than two of these are finite.
 ///
 /// `points` has `3 · width · height` values, `valid` a third of them.
-#[must_use]
 pub fn shift(points: &[f32], valid: &[bool], width: usize, height: usize) -> f64 {
     let samples = sample(points, valid, width, height);
     let nearest = samples.iter().map(|s| s.point[2]).fold(f64::INFINITY, f64::min);

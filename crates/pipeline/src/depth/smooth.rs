@@ -13,7 +13,6 @@ const SIGMA: f64 = 0.04;
 const ROUNDS: i32 = 3;
 
 /// Smooths `delta`, of `width` columns, by a guide (RGB in 0..=1) of the same size. `lambda` is the strength; 0 changes nothing.
-#[must_use]
 pub(super) fn smooth(guide: &[[f32; 3]], delta: &[f32], width: usize, lambda: f64) -> Vec<f32> {
     let height = delta.len() / width;
     let mut map = delta.to_vec();

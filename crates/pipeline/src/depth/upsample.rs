@@ -19,7 +19,6 @@ const RADIUS: f64 = 0.006;
 const EPSILON: f64 = 1e-4;
 
 /// Enlarges `small`, which must be finite, to the photo's size. The result is finite and within 0..=1.
-#[must_use]
 pub fn upsample(photo: &Photo, small: &DisparityMap) -> DisparityMap {
     let (width, height) = (photo.width, photo.height);
     let (w, h) = working_size((width, height), WORK);
@@ -44,7 +43,6 @@ pub fn upsample(photo: &Photo, small: &DisparityMap) -> DisparityMap {
 
 /// Halves a map and enlarges it again, so that it is as blurred as a network's. Snapping is measured on such maps, and Ψ is trained on
 /// them after snapping.
-#[must_use]
 pub fn halved(d: &DisparityMap) -> DisparityMap {
     let half = ((d.width / 2).max(1), (d.height / 2).max(1));
     let to = |from: &[f32], a, b| resample(from, a, b, Filter::Triangle, |v: f32| [v], |[v]| v);

@@ -43,7 +43,6 @@ const JOIN: f32 = 0.25;
 const ROWS: usize = 16;
 
 /// Gives the pixels of ramps to the near or the far side, runs [`full_median`], then joins rim pixels to the near side.
-#[must_use]
 pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let (level, tables) = (Level::new(), Tables::new());
     let snapped = each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::sides(level, band, &tables, y, lo, hi, out));
@@ -51,7 +50,6 @@ pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
 }
 
 /// The part of [`snap`] that sharp maps need: runs [`median`], then joins rim pixels to the near side.
-#[must_use]
 pub fn clean(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     join_rims(photo, &median(photo, delta))
 }
@@ -65,7 +63,6 @@ fn join_rims(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
 
 /// Share, 0 to 1, of the pixels near strong depth edges that lie on a ramp between the two sides: their δ is between the sides over 7×7
 /// and over 3×3 pixels, and much of the step lies within the 3×3. Exact maps have almost none, however many surfaces meet there.
-#[must_use]
 pub fn ramp_share(delta: &DisparityMap) -> f64 {
     let ((lo, hi), (near_lo, near_hi)) = (extremes(delta, RADIUS), extremes(delta, 1));
     let between = |d: f32, lo: f32, hi: f32| (d - lo) > 0.1 * (hi - lo) && (d - lo) < 0.9 * (hi - lo);
@@ -88,14 +85,12 @@ pub const BLURRED: f64 = 0.15;
 
 /// Colour-weighted median over 5×5 pixels where δ has an edge, for pixels whose colour does not support their own side. It helps measured
 /// depth, and is nearly harmless on exact depth.
-#[must_use]
 pub fn median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let level = Level::new();
     each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(level, band, KEPT, y, lo, hi, out))
 }
 
 /// Like [`median`], for all pixels where δ has an edge.
-#[must_use]
 pub fn full_median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let level = Level::new();
     each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(level, band, NONE, y, lo, hi, out))

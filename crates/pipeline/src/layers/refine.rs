@@ -72,7 +72,6 @@ pub fn run(psi: &dyn Network, photo: &Photo, geometry: &Geometry, tiles: &mut [V
 }
 
 /// Side of Ψ's input for the tiles of a grid, in pixels: the tile's side, rounded up to a multiple of 16.
-#[must_use]
 pub fn side(grid: &Grid) -> usize {
     (grid.size as usize).div_ceil(16) * 16
 }
@@ -83,7 +82,6 @@ fn shape(out: &[Tensor]) -> StageError {
 }
 
 /// Whether a layer has hidden texels.
-#[must_use]
 pub fn needs(l: &TexturedLayer) -> bool {
     !l.hidden.is_empty()
 }

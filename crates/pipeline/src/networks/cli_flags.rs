@@ -39,7 +39,6 @@ pub struct ModelFlags {
 
 impl ModelFlags {
     /// The settings that the flags describe.
-    #[must_use]
     pub fn settings(&self) -> Settings {
         let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
         let DepthModel { adapter, file, .. } = &self.depth_model;
@@ -49,7 +48,6 @@ impl ModelFlags {
 
     /// The settings of rooms, whose depth network is `live`; `None` if they are those of photos. Flags for pixels, smoothing, ramp and
     /// the mirrored photo describe the photos' network, and apply to rooms only if they use the same one.
-    #[must_use]
     pub fn for_rooms(&self, live: &DepthModel) -> Option<Settings> {
         let photos = self.settings();
         let (depth, depth_file) = (live.adapter, live.file.clone());
@@ -71,7 +69,6 @@ impl ModelFlags {
     }
 
     /// The settings that the flags describe for rooms.
-    #[must_use]
     pub fn settings_of_rooms(&self) -> Settings {
         let settings = self.settings();
         let depth_ramp = Some(settings.depth_ramp.unwrap_or(settings.depth.ramp_of_rooms));
@@ -79,7 +76,6 @@ impl ModelFlags {
     }
 
     /// These settings with another network.
-    #[must_use]
     pub fn with_network(&self, depth: &'static Adapter, file: PathBuf) -> Settings {
         Settings { depth, depth_file: Some(file), ..self.settings() }
     }

@@ -23,7 +23,6 @@ pub struct OnnxGraph {
 }
 
 /// Reads the graph of an ONNX file; `None` if it is not one, or has no input of four or five dimensions.
-#[must_use]
 pub fn onnx_graph(file: &mut (impl BufRead + Seek)) -> Option<OnnxGraph> {
     read(file).ok().filter(|o| !o.shape.is_empty())
 }

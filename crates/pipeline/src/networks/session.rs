@@ -143,13 +143,11 @@ impl Session {
     }
 
     /// Inputs in the graph's order.
-    #[must_use]
     pub fn inputs(&self) -> &[TensorInfo] {
         &self.inputs
     }
 
     /// Outputs in the graph's order.
-    #[must_use]
     pub fn outputs(&self) -> &[TensorInfo] {
         &self.outputs
     }

@@ -21,7 +21,6 @@ pub struct Reduction {
 const STEP: usize = 17;
 
 /// PSNR in dB of a reduced photo, enlarged again by linear interpolation, against the original; over every seventeenth row.
-#[must_use]
 pub(super) fn psnr(small: &Photo, whole: &Photo) -> f64 {
     let (width, height) = (whole.width as usize, whole.height as usize);
     let columns: Vec<(usize, usize, f32)> = (0..width).map(|x| between(x, width, small.width as usize)).collect();

@@ -111,7 +111,6 @@ pub fn resample_by<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
 }
 
 /// Resamples a photo to another size, at least 1×1, with [`Filter::Lanczos3`].
-#[must_use]
 pub fn resize(photo: &Photo, width: u32, height: u32) -> Photo {
     let rgb = resample(
         &photo.rgb,
@@ -126,7 +125,6 @@ pub fn resize(photo: &Photo, width: u32, height: u32) -> Photo {
 }
 
 /// Size (width, height) with the longer side at most `max_size` and the same aspect; at least 1×1.
-#[must_use]
 pub fn reduced_size((width, height): (u32, u32), max_size: Option<u32>) -> (u32, u32) {
     let Some(max) = max_size.map(|m| m.max(1)).filter(|&m| m < width.max(height)) else { return (width, height) };
     let ratio = f64::from(max) / f64::from(width.max(height));

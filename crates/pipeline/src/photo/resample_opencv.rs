@@ -20,7 +20,6 @@ const BITS: u32 = 11;
 
 /// Resamples a row-major picture from size `from` to size `to` (width, height). Both sizes are at least 1×1 and `source` has
 /// `from.0 · from.1` pixels.
-#[must_use]
 pub fn resize_opencv(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32), by: Interpolation) -> Vec<[u8; 3]> {
     if from == to {
         return source.to_vec();

@@ -45,7 +45,6 @@ const HALF: i32 = 1 << (BITS - 1);
 ///
 /// Both sizes are at least 1×1 and `source` has `from.0 · from.1` pixels. The function works on bands of rows: beside the result it holds
 /// only the source rows of a band, at the result's width.
-#[must_use]
 pub fn resample_bytes(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32), filter: Filter) -> Vec<[u8; 3]> {
     const BAND: usize = 32;
     let (from_w, from_h, to_w, to_h) = (from.0 as usize, from.1 as usize, to.0 as usize, to.1 as usize);

@@ -10,7 +10,6 @@ pub struct Taps(pub(super) Vec<(usize, Vec<f32>)>);
 
 impl Taps {
     /// Resamples `from` samples to `to`, both at least 1, by a kernel that is stretched by the ratio when reducing. Weights sum to 1.
-    #[must_use]
     pub fn stretched(from: usize, to: usize, filter: Filter) -> Self {
         let ratio = from as f64 / to as f64;
         let stretch = ratio.max(1.0);
@@ -37,14 +36,12 @@ impl Taps {
 
     /// Resamples `from` samples to `to`, both at least 1, by a cubic of slope −¾ over four samples, whatever the ratio. The border is
     /// repeated. Equals `OpenCV`'s `INTER_CUBIC` and `PyTorch`'s `bicubic` without antialiasing.
-    #[must_use]
     pub fn four(from: usize, to: usize) -> Self {
         Self((0..to).map(|i| gathered(&cubic(from, to, i))).collect())
     }
 
     /// Resamples `from` samples, with `margin` mirrored ones at either end (the border not repeated), to `to`: linear between neighbours,
     /// first on first and last on last. Equals `PyTorch`'s `bilinear` with `align_corners`. All but `margin` are at least 1.
-    #[must_use]
     pub fn mirrored(from: usize, margin: usize, to: usize) -> Self {
         let padded = from + 2 * margin;
         // in single precision, as in PyTorch: for thousands of samples this decides the fourth digit of a weight
@@ -61,7 +58,6 @@ impl Taps {
 
     /// Resamples `from` samples to `to`, at least 1 and at most `from`: the mean over what a sample covers, without slivers below a
     /// thousandth of a sample. Equals `OpenCV`'s `INTER_AREA`.
-    #[must_use]
     pub fn covered(from: usize, to: usize) -> Self {
         let ratio = from as f64 / to as f64;
         let tap = |i: usize| {
@@ -85,7 +81,6 @@ impl Taps {
     /// The way back from [`Self::mirrored`]: resamples a map of `map` samples, which covers `from` samples and their margins, to `to`
     /// samples that cover `from` alone. Combines two cubics of slope −¾: to `from + 2 · margin` samples, then from the `from` in the
     /// middle.
-    #[must_use]
     pub fn cropped(map: usize, from: usize, margin: usize, to: usize) -> Self {
         let tap = |i: usize| {
             let mut all = Vec::with_capacity(16);

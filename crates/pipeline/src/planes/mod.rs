@@ -44,13 +44,11 @@ pub struct Placement {
 
 impl Placement {
     /// `n` planes in every tile.
-    #[must_use]
     pub fn fixed(method: Method, n: u32) -> Self {
         Self { method, most: n, target: None, neighbour: NEIGHBOUR_COST }
     }
 
     /// The fewest planes, at most `most`, that meet the error `target` in δ.
-    #[must_use]
     pub fn fewest(method: Method, most: u32, target: f64) -> Self {
         Self { method, most, target: Some(target), neighbour: NEIGHBOUR_COST }
     }
@@ -74,13 +72,11 @@ pub enum Method {
 /// Places the planes of all tiles of `grid`. Returns the tiles in grid order.
 ///
 /// `confidence`, if given, is a weight per pixel in (0, 1]. Pixels where either map is not finite have no weight.
-#[must_use]
 pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Tile> {
     place_rounded(delta, confidence, grid, placement).into_iter().map(|r| r.tile).collect()
 }
 
 /// [`place`], with the error of rounding planes to the container's grid of coefficients.
-#[must_use]
 pub fn place_rounded(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Rounded> {
     (0..grid.tiles())
         .into_par_iter()
@@ -101,7 +97,6 @@ pub struct Rounded {
 }
 
 /// Share of tiles, 0 to 1, whose best single slanted plane misses `target` (99th percentile of |δ error|).
-#[must_use]
 pub fn busy_share(delta: &DisparityMap, grid: &Grid, target: f64) -> f64 {
     let busy = (0..grid.tiles()).into_par_iter().map_init(Samples::default, |samples, tile| {
         samples.gather(delta, None, grid, tile);
@@ -112,7 +107,6 @@ pub fn busy_share(delta: &DisparityMap, grid: &Grid, target: f64) -> f64 {
 }
 
 /// Places the planes of one tile.
-#[must_use]
 pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
     place_tile_rounded(samples, placement).tile
 }
@@ -190,7 +184,6 @@ const DROPPED_BITS: u32 = 14;
 /// absolute error (to 0.2 %).
 ///
 /// A pixel counts once for every tile that contains it.
-#[must_use]
 pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -> (f64, f64, f64) {
     let none = || vec![0u32; (1f32.to_bits() >> DROPPED_BITS) as usize + 1];
     let per_thread = tiles.len().div_ceil(rayon::current_num_threads()).max(1);
@@ -232,7 +225,6 @@ pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -
 /// In a novel view, such a pixel floats beside an edge.
 ///
 /// A pixel counts once for every tile that contains it.
-#[must_use]
 pub fn ghost_share(delta: &DisparityMap, grid: &Grid, tiles: &[Tile], apart: f32) -> f64 {
     let (w, h) = (delta.width as usize, delta.height as usize);
     let lone = |x: usize, y: usize, d: f32| {

@@ -7,7 +7,6 @@ use tmpi_core::container::most_planes;
 
 impl Options {
     /// The grid of tiles of a scene of this size in pixels.
-    #[must_use]
     pub fn grid(&self, width: u32, height: u32) -> Grid {
         match self.tile {
             TileSize::Pixels(size) => Grid::new(width, height, size),

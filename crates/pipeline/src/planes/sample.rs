@@ -65,7 +65,6 @@ impl Samples {
     }
 
     /// Every `step`th pixel of every `step`th row, for searches; all pixels if there are at most 1024, a quarter of a 64-pixel tile.
-    #[must_use]
     pub fn thinned(&self, step: usize) -> Self {
         let mut s = Self::default();
         if self.len() <= 1024 || self.width == 0 {
@@ -84,43 +83,36 @@ impl Samples {
     }
 
     /// Number of pixels.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.delta.len()
     }
 
     /// Whether there are no pixels.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.delta.is_empty()
     }
 
     /// Disparities.
-    #[must_use]
     pub fn deltas(&self) -> &[f32] {
         &self.delta
     }
 
     /// Weights.
-    #[must_use]
     pub fn weights(&self) -> &[f32] {
         &self.weight
     }
 
     /// Horizontal positions, in half tiles from the tile's centre.
-    #[must_use]
     pub fn us(&self) -> &[f32] {
         &self.u
     }
 
     /// Vertical positions, in half tiles from the tile's centre.
-    #[must_use]
     pub fn vs(&self) -> &[f32] {
         &self.v
     }
 
     /// The columns in the form that the kernels take.
-    #[must_use]
     pub(super) fn columns(&self) -> Columns<'_> {
         Columns { u: &self.u, v: &self.v, d: &self.delta, w: &self.weight }
     }
@@ -144,7 +136,6 @@ impl Samples {
     }
 
     /// Absolute errors in δ of labelled pixels.
-    #[must_use]
     pub fn errors(&self, planes: &[Plane], labels: &[u8]) -> Vec<f32> {
         let planes: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
         let pixels = labels.iter().zip(&self.u).zip(&self.v).zip(&self.delta);
@@ -157,7 +148,6 @@ impl Samples {
     }
 
     /// 99th percentile of the absolute error in δ to the nearest plane.
-    #[must_use]
     pub fn error_p99(&self, planes: &[Plane]) -> f64 {
         let (mut labels, mut error) = (Vec::new(), Vec::new());
         self.assign(planes, &mut labels, &mut error);

@@ -33,7 +33,6 @@ pub fn place_again(
 
 /// Places the planes of one tile, starting from those of `last`. Places new planes if `last` is empty or of another size, or without a
 /// target.
-#[must_use]
 pub fn place_tile_from(samples: &Samples, placement: &Placement, last: &Tile) -> Tile {
     let known = !last.planes.is_empty() && last.labels.len() == samples.len();
     let (Some(target), true) = (placement.target, known) else { return place_tile(samples, placement) };

@@ -25,7 +25,6 @@ pub enum ExtraPicture {
 
 impl ExtraPicture {
     /// Width and height in pixels.
-    #[must_use]
     pub const fn size(self) -> (u32, u32) {
         match self {
             Self::DepthMap(size) | Self::SecondPicture(size) => size,
@@ -35,7 +34,6 @@ impl ExtraPicture {
 
 impl Sizes {
     /// Sizes of a photo alone.
-    #[must_use]
     pub const fn of_photo(file: (u32, u32)) -> Self {
         Self { file, extra: None }
     }

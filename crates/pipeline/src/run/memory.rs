@@ -31,14 +31,12 @@ const MIN_PLANES: u32 = 2;
 
 /// Upper bound in bytes of the memory for making a scene of `pixels` pixels and `tiles` tiles, with a mean of `planes` planes per tile plus
 /// a background plane.
-#[must_use]
 pub fn bytes(pixels: u64, tiles: u64, planes: u32) -> u64 {
     let layers = u64::from(planes) + 1;
     BASE + pixels * (PIXEL + PLANE * layers) + tiles * layers * LAYER
 }
 
 /// The most planes per tile, without background planes, that fit into `memory` bytes; at least 1.
-#[must_use]
 pub fn most_planes(pixels: u64, tiles: u64, memory: u64) -> u32 {
     let layer = pixels * PLANE + tiles * LAYER;
     let layers = memory.saturating_sub(BASE + pixels * PIXEL) / layer.max(1);
@@ -48,7 +46,6 @@ pub fn most_planes(pixels: u64, tiles: u64, memory: u64) -> u32 {
 impl Options {
     /// Upper bound in bytes of the memory for making a photo from pictures of these sizes. With [`PlaneCount::Auto`], it assumes 2 planes
     /// per tile; more are placed only if they fit into [`Limits::memory`].
-    #[must_use]
     pub fn memory(&self, sizes: &Sizes) -> u64 {
         self.memory_at(sizes, self.max_size)
     }
@@ -63,7 +60,6 @@ impl Options {
     }
 
     /// [`Options::memory`] with a longest side of at most `side` pixels and a mean of `planes` planes per tile, without background planes.
-    #[must_use]
     pub fn memory_with(&self, sizes: &Sizes, side: Option<u32>, planes: u32) -> u64 {
         let (w, h) = reduced_size(self.photo_size(sizes.file), side);
         let made = bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
@@ -75,7 +71,6 @@ impl Options {
     }
 
     /// Width and height in pixels of the photo in a file of size `file`: those of one half, if the file holds two pictures in halves.
-    #[must_use]
     pub fn photo_size(&self, file: (u32, u32)) -> (u32, u32) {
         self.stereo.halves().map_or(file, |halves| halves.of(file))
     }

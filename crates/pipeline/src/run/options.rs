@@ -137,7 +137,6 @@ impl Options {
 
     /// Placement for a parallax error of `max_error` pixels; `most` is the largest shift in pixels per unit of δ
     /// ([`super::Parallax::most`]).
-    #[must_use]
     pub fn placement(&self, max_error: f64, most: f64) -> Placement {
         match self.planes {
             PlaneCount::Fixed(n) => Placement::fixed(self.plane_method, n),

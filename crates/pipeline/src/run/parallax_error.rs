@@ -25,14 +25,12 @@ pub struct Parallax {
 
 impl Parallax {
     /// Shifts in views of a photo with these `intrinsics` from `view_box`.
-    #[must_use]
     pub const fn new(intrinsics: Intrinsics, view_box: ViewBox) -> Self {
         Self { intrinsics, view_box }
     }
 
     /// Distance in pixels between the photo's point `(x, y)` at disparity `a` and at disparity `b`, in the camera of the view box where it
     /// is largest: the horizontal or the vertical distance, whichever is larger.
-    #[must_use]
     pub fn pixels(&self, (x, y): (f64, f64), a: f64, b: f64) -> f64 {
         let (k, v) = (&self.intrinsics, &self.view_box);
         let step = (k.fx * v.x + (x - k.cx).abs() * v.z).max(k.fy * v.y + (y - k.cy).abs() * v.z);
@@ -40,7 +38,6 @@ impl Parallax {
     }
 
     /// Upper bound, in pixels per unit of δ, of the shift anywhere within `rect`, for surfaces with δ ≤ 1.
-    #[must_use]
     pub fn most(&self, rect: Rect) -> f64 {
         let (x, y) = self.view_box.parallax(&self.intrinsics, rect);
         x.max(y) / self.distance(1.0).powi(2)
@@ -52,7 +49,6 @@ impl Parallax {
     }
 
     /// Shift between two maps of the same size, over all pixels.
-    #[must_use]
     pub fn between(&self, before: &DisparityMap, after: &DisparityMap) -> ParallaxShift {
         let width = (before.width as usize).max(1);
         let row = |(y, (a, b)): (usize, (&[f32], &[f32]))| {
@@ -69,7 +65,6 @@ impl Parallax {
 
     /// Shift between a map and `after`, the same map resampled to the photo's size, at the pixel centres of `before`. Compares at most
     /// 65536 pixels; pixels with a non-finite shift count as 0.
-    #[must_use]
     pub fn resampled(&self, before: &DisparityMap, after: &DisparityMap) -> ParallaxShift {
         let (w, h) = (before.width as usize, before.height as usize);
         let step = before.delta.len().div_ceil(SAMPLES).max(1);
@@ -87,7 +82,6 @@ impl Parallax {
     }
 
     /// Errors of each tile's planes against the map that they were fitted to.
-    #[must_use]
     pub fn of_planes(&self, delta: &DisparityMap, geometry: &Geometry) -> Vec<TileError> {
         let one = |errors: &mut Vec<f32>, (index, tile): (usize, &Tile)| self.of_tile(delta, geometry, (index as u32, tile), errors);
         geometry.tiles.par_iter().enumerate().map_init(Vec::new, one).collect()

@@ -41,7 +41,6 @@ pub struct Context<'a> {
 
 impl<'a> Context<'a> {
     /// Context of a photo before its first stage; starts the clock.
-    #[must_use]
     pub fn new(models: &'a Models, limits: &'a Limits, options: &'a Options, sink: &'a dyn Sink) -> Self {
         Self { models, limits, options, sizes: None, report: Report::default(), movement: None, sink, clock: Clock::start() }
     }
@@ -61,13 +60,11 @@ impl<'a> Context<'a> {
     }
 
     /// Milliseconds since the start.
-    #[must_use]
     pub fn elapsed_ms(&self) -> f64 {
         self.clock.ms()
     }
 
     /// Completes the report with total time and peak memory.
-    #[must_use]
     pub fn finish(mut self) -> Report {
         self.report.total_ms = self.clock.ms();
         if let Some(b) = &mut self.report.budget {

@@ -66,7 +66,6 @@ impl Default for Costs {
 impl Costs {
     /// Costs from the file that [`COSTS`] names, read once. Returns the defaults if the variable is unset, or, with a logged warning, if
     /// the file cannot be read or has no operating point.
-    #[must_use]
     pub fn of_this_machine() -> &'static Self {
         static READ: OnceLock<Costs> = OnceLock::new();
         READ.get_or_init(|| {
@@ -84,7 +83,6 @@ impl Costs {
 
     /// The longest side, in pixels, at which the cheapest operating point finishes within `budget` milliseconds; `None` if the photo fits
     /// without reduction. `estimated` says whether the depth network runs.
-    #[must_use]
     pub fn side(&self, budget: f64, (width, height): (u32, u32), estimated: bool) -> Option<u32> {
         let cheapest = self.cheapest(ASSUMED_BUSY)?;
         let megapixels = f64::from(width) * f64::from(height) / 1e6;
@@ -101,7 +99,6 @@ impl Costs {
 
     /// The best operating point that fits into `left` milliseconds, or the cheapest if none fits; with its predicted milliseconds and
     /// whether it fits. `busy` is the share of busy tiles, 0 to 1.
-    #[must_use]
     pub fn choose(&self, left: f64, megapixels: f64, busy: f64) -> (Rate, f64, bool) {
         let takes = |r: &Rate| megapixels * (self.plain + r.busy * busy);
         let fits = self.points.iter().find(|r| takes(r) * SAFETY <= left);
@@ -129,7 +126,6 @@ pub struct Measured {
 /// Fits `plain + busy · share` to the measurements by least squares, with one `plain` for all operating points. Returns `plain` and the
 /// operating points in the order of `factors`. No value is negative, and no point is slower than the one before it: a larger parallax error
 /// means less work.
-#[must_use]
 pub fn fit(factors: &[f64], measured: &[Measured]) -> (f64, Vec<Rate>) {
     #[derive(Default)]
     struct Sums {

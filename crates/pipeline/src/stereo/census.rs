@@ -17,7 +17,6 @@ pub struct Grey {
 }
 
 /// Census transform of a picture, one word per pixel. Beyond the border, the outermost pixels repeat.
-#[must_use]
 pub fn census(picture: &Grey) -> Vec<u64> {
     let (w, h) = (picture.width, picture.height);
     let (rx, ry) = RADIUS;

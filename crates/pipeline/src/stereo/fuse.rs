@@ -25,7 +25,6 @@ impl Draw {
 }
 
 /// Whether the measured disparities (NaN where unmeasured) run against the estimate. Then the second picture is the left eye's.
-#[must_use]
 pub fn is_crossed(measured: &[f32], estimate: &[f32]) -> bool {
     let known: Vec<usize> = (0..measured.len()).filter(|i| measured[*i].is_finite()).collect();
     if known.is_empty() {

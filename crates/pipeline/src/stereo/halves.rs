@@ -63,7 +63,6 @@ impl Stereo {
     }
 
     /// How to cut a picture that shows both eyes; `None` if it does not.
-    #[must_use]
     pub fn halves(self) -> Option<Halves> {
         match self {
             Self::LeftRight => Some(Halves::LeftRight),
@@ -114,7 +113,6 @@ impl Halves {
 
     /// Splits a picture into the first eye's and the second's, of equal size; drops the middle one of an odd number of columns or rows.
     /// `None` if a half would be empty.
-    #[must_use]
     pub fn split(self, photo: &Photo) -> Option<(Photo, Photo)> {
         let (width, height) = self.of((photo.width, photo.height));
         if width == 0 || height == 0 {

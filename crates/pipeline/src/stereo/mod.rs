@@ -184,7 +184,6 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, StereoError> {
 
 impl Measured {
     /// Disparity at the size of `photo`. `estimate`, at the photo's size, fills what was not measured.
-    #[must_use]
     pub fn fuse(self, photo: &Photo, estimate: &DisparityMap) -> FusedDisparity {
         let Self { width, height, mut disparity, parallel, mut figures } = self;
         let clock = Clock::start();

@@ -60,20 +60,17 @@ impl Model {
     }
 
     /// Downward displacement at `(u, v)`, in widths.
-    #[must_use]
     pub fn down(&self, u: f64, v: f64) -> f64 {
         let all = [self.offset, self.roll, self.scale, self.yaw, self.pitch];
         all.iter().zip(Self::terms(u, v)).map(|(a, b)| a * b).sum()
     }
 
     /// Rightward displacement at `(u, v)`, in widths, without parallax.
-    #[must_use]
     pub fn right(&self, u: f64, v: f64) -> f64 {
         -self.roll * v + self.scale * u + self.yaw * u * u + self.pitch * u * v
     }
 
     /// Resamples the second picture to the rows of the first.
-    #[must_use]
     pub fn rectified(&self, second: &Grey) -> Grey {
         let (w, h) = (second.width, second.height);
         if *self == Self::default() {
@@ -103,7 +100,6 @@ pub struct Rectified {
 }
 
 /// Fits the model; `None` if too few matches agree with any.
-#[must_use]
 pub fn rectify(first: &Grey, second: &Grey) -> Option<Rectified> {
     let size = (first.width, first.height);
     let matches = matches(first, second);
@@ -164,7 +160,6 @@ fn at(picture: &Grey, (x, y): (f64, f64)) -> u8 {
 }
 
 /// The picture reduced by a whole factor: means over squares of `by` pixels a side.
-#[must_use]
 pub fn reduced(picture: &Grey, by: usize) -> Grey {
     let (width, height) = ((picture.width / by).max(1), (picture.height / by).max(1));
     let mean = |i: usize| {

@@ -39,7 +39,6 @@ pub struct Range {
 
 impl Range {
     /// The smallest range that contains both ends.
-    #[must_use]
     pub fn holding(low: i32, high: i32) -> Self {
         Self { first: low, count: ((high - low).max(0) as usize + 1).next_multiple_of(STEP) }
     }
@@ -62,7 +61,6 @@ pub struct Views<'a> {
 
 /// Disparity of each pixel, to a fraction of a pixel. NaN where it is not measured: the two directions disagree, or two positions match
 /// equally well.
-#[must_use]
 pub fn disparity(views: &Views, range: Range) -> Vec<f32> {
     let (w, h) = (views.width, views.height);
     let mut out = vec![f32::NAN; w * h];

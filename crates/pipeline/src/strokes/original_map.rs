@@ -20,7 +20,6 @@ pub const HEAD: usize = HEADER + NAMED + MOST;
 
 /// The map as it is stored: at most 640 pixels on its longer side, as in the picture in which outlines are found, and without mixing
 /// across edges.
-#[must_use]
 pub fn to_keep(map: &DisparityMap) -> DisparityMap {
     let (width, height) = reduced_size((map.width, map.height), Some(SIDE));
     if (width, height) == (map.width, map.height) { map.clone() } else { resized(map, width, height) }
@@ -43,7 +42,6 @@ pub fn keep(file: &[u8], before: &DisparityMap) -> Result<Vec<u8>, DepthError> {
 }
 
 /// Finds the PNG of the map before the strokes in the beginning of a file; [`HEAD`] bytes suffice. `None` if no map is stored.
-#[must_use]
 pub fn before(head: &[u8]) -> Option<&[u8]> {
     let named = head.get(HEADER..HEADER + NAMED)?;
     let (length, name) = named.split_first_chunk::<4>()?;

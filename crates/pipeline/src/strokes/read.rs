@@ -78,7 +78,6 @@ pub fn patch(bytes: &[u8]) -> Result<Option<Vec<Stroke>>, StrokeError> {
 }
 
 /// Writes a file of strokes, which [`read`] reads.
-#[must_use]
 pub fn write(strokes: &[Stroke]) -> Vec<u8> {
     json!({ "version": VERSION, "strokes": strokes }).to_string().into_bytes()
 }

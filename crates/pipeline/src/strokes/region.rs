@@ -61,7 +61,6 @@ pub(super) struct Near {
 
 impl Outlines {
     /// Finds the edges of a photo and its disparity map, both of one size.
-    #[must_use]
     pub fn new(photo: &Photo, map: &DisparityMap) -> Self {
         let (w, h) = reduced_size((photo.width, photo.height), Some(SIDE));
         let small = if (w, h) == (photo.width, photo.height) { None } else { Some(resize(photo, w, h)) };
@@ -81,7 +80,6 @@ impl Outlines {
     }
 
     /// The region of a stroke, which must pass [`Stroke::check`].
-    #[must_use]
     pub fn region(&self, stroke: &Stroke) -> Region {
         let Near { corner: (x0, y0), size: (width, height), away, radius } = self.near(stroke);
         let step = self.steps((x0, y0), (width, height), &away, radius);

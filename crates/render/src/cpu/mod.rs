@@ -46,14 +46,12 @@ impl Cpu {
     pub const CACHE_BYTES: usize = 256 << 20;
 
     /// Creates a backend that keeps at most `cache_bytes` of expanded texels, but always those of the last scene.
-    #[must_use]
     pub fn new(cache_bytes: usize) -> Self {
         Self { scenes: Mutex::new(SceneCache::new(cache_bytes)), blurred: true }
     }
 
     /// The same backend without blur of the mirror image beyond the photo's borders. It is faster; use it for views that you only compare
     /// with each other.
-    #[must_use]
     pub fn sharp_beyond_borders(self) -> Self {
         Self { blurred: false, ..self }
     }

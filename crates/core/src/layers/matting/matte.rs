@@ -61,7 +61,6 @@ impl Matte {
     ///
     /// A deviation from the line between the two means is detail of the photo. Each side gets its share of it, so that a pixel that is
     /// almost all background keeps its colour.
-    #[must_use]
     pub fn of(colour: [u8; 3], near: &Side, far: &Side) -> Option<Self> {
         let ((front, front_off), (back, back_off)) = (near.mean()?, far.mean()?);
         let along: [f64; 3] = std::array::from_fn(|c| front[c] - back[c]);

@@ -89,7 +89,6 @@ impl Model {
     }
 
     /// Width, height and depth in metres.
-    #[must_use]
     pub fn size(&self) -> [f64; 3] {
         (self.high - self.low).array()
     }
@@ -112,7 +111,6 @@ pub struct Models(Arc<[Model]>);
 
 impl Models {
     /// Creates the collection.
-    #[must_use]
     pub fn new(models: Vec<Model>) -> Self {
         Self(models.into())
     }

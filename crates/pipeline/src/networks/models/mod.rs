@@ -49,7 +49,6 @@ pub struct Settings {
 
 impl Settings {
     /// Name of the depth network in reports: that of its file if it says more than the adapter's.
-    #[must_use]
     pub fn name(&self) -> &str {
         let stem = self.depth_file.as_deref().and_then(Path::file_stem).and_then(|s| s.to_str());
         stem.filter(|s| s.starts_with(self.depth.name)).unwrap_or(self.depth.name)

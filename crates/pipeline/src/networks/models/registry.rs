@@ -126,19 +126,16 @@ pub const PUBLISHED: [PublishedModel; 5] = [
 
 impl PublishedModel {
     /// Its adapter.
-    #[must_use]
     pub fn adapter(&self) -> Option<&'static Adapter> {
         adapter(self.adapter)
     }
 
     /// Its file in [`folder`].
-    #[must_use]
     pub fn file(&self) -> PathBuf {
         folder().join(format!("{}.onnx", self.name))
     }
 
     /// Size of all its files in bytes.
-    #[must_use]
     pub fn total(&self) -> u64 {
         self.bytes + self.weights.map_or(0, |w| w.bytes)
     }
@@ -153,26 +150,22 @@ fn rank(network: &str) -> Option<usize> {
 
 /// Kinds that are worse than a network, given by its name in reports, from best to worst. A network's name begins with its kind, and no
 /// better kind's name begins with that of a worse one. Empty if the network has no rank.
-#[must_use]
 pub fn better_than(network: &str) -> &'static [&'static str] {
     rank(network).map_or(&[], |at| &RANKS[at + 1..])
 }
 
 /// The published network worth fetching for users of `network`, a name in reports; `None` if that is as good or unknown.
-#[must_use]
 pub fn recommended_download(network: &str) -> Option<&'static PublishedModel> {
     let better = published(BETTER)?;
     (rank(network)? > rank(better.adapter)?).then_some(better)
 }
 
 /// Finds a published network by name.
-#[must_use]
 pub fn published(name: &str) -> Option<&'static PublishedModel> {
     PUBLISHED.iter().find(|p| p.name == name)
 }
 
 /// Folder of downloaded networks: `TMPI_MODELS`, else the user's data folder, else `models` in the current directory.
-#[must_use]
 pub fn folder() -> PathBuf {
     let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
     let data = || {
@@ -187,14 +180,12 @@ fn shipped() -> Option<PathBuf> {
 }
 
 /// The best network in [`folder`], else among those that ship with the program.
-#[must_use]
 pub fn default_model() -> Option<(&'static Adapter, PathBuf)> {
     best_in(&folder()).or_else(|| best_in(&shipped()?))
 }
 
 /// The best network among the ONNX files of `folder`: by kind, then the larger file, then by name. Skips files that do not identify their
 /// network, or whose file of weights is missing. `None` if no file is left.
-#[must_use]
 pub fn best_in(folder: &Path) -> Option<(&'static Adapter, PathBuf)> {
     let files = std::fs::read_dir(folder).ok()?.filter_map(|entry| {
         let (file, bytes) = entry.ok().and_then(|e| Some((e.path(), e.metadata().ok()?.len())))?;

@@ -17,13 +17,11 @@ pub struct Depth {
 
 impl Depth {
     /// Runs the network, if it is the source, at `size`, one of [`depth::Estimator::sizes`]; `None`: at the same size as for a photo.
-    #[must_use]
     pub const fn at(size: Option<(u32, u32)>) -> Self {
         Self { size, network_ms: 0.0 }
     }
 
     /// Milliseconds of the network alone; 0 if it did not run at a size set by [`Depth::at`].
-    #[must_use]
     pub const fn network_ms(&self) -> f64 {
         self.network_ms
     }
@@ -94,7 +92,6 @@ impl<'a> Source<'a> {
     }
 
     /// The other half of the photo's picture, if there is one and no other source was chosen.
-    #[must_use]
     pub fn or_half(self, half: Option<Photo>) -> Self {
         match (self, half) {
             (Self::Network, Some(half)) => Self::Second(SecondPicture::Half(half)),

@@ -29,7 +29,6 @@ struct LastFrame {
 impl Planes {
     /// Carries planes from one frame to the next; all frames must have the same size. Does not choose a time budget, check memory or
     /// measure errors, as it does for a photo: the room does that itself.
-    #[must_use]
     pub fn with_warm_start() -> Self {
         Self { last: Some(LastFrame::default()) }
     }
