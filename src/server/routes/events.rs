@@ -14,8 +14,9 @@ use serde_json::json;
 use tmpi_library::{Event as Happened, Photo, PhotoId, PhotoState as Phase, Subscription};
 use tokio::time::Instant;
 
+use super::path_photo::PathPhoto;
 use super::photo_state::{PhotoState, Progress};
-use super::query::{Found, NoQuery};
+use super::query::NoQuery;
 use crate::server::access::{self, Admission};
 use crate::server::app_state::App;
 use crate::server::client_slots::{ClientSlot, client_address};
@@ -177,7 +178,7 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
         (status = 503, description = "Too many streams are open"),
     )
 )]
-pub async fn events(State(app): State<App>, _: NoQuery, Found(photo): Found) -> Result<Response, Problem> {
+pub async fn events(State(app): State<App>, _: NoQuery, PathPhoto(photo): PathPhoto) -> Result<Response, Problem> {
     let Some(place) = app.streams.take(client_address()) else {
         let detail = "too many event streams are open, in all or from your address";
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(5));

@@ -5,7 +5,7 @@ use axum::http::{HeaderMap, Uri, header};
 use axum::response::Response;
 
 use super::derived_answer::Derived;
-use super::query::Found;
+use super::path_photo::PathPhoto;
 use crate::server::app_state::{App, AppState, Export};
 use crate::server::conditional::insert;
 use crate::server::content_disposition::content_disposition;
@@ -41,7 +41,7 @@ use crate::server::time_limit::TimeLimit;
 pub async fn export(
     State(app): State<App>,
     Extension(clock): Extension<TimeLimit>,
-    Found(photo): Found,
+    PathPhoto(photo): PathPhoto,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {

@@ -10,7 +10,8 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-use super::query::{Found, NoQuery, decode};
+use super::path_photo::PathPhoto;
+use super::query::{NoQuery, decode};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
@@ -170,7 +171,7 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
         (status = 503, description = "Too much waits; `Retry-After` says when to come back"),
     )
 )]
-pub async fn order(State(app): State<App>, Found(photo): Found, request: Request) -> Result<Response, Problem> {
+pub async fn order(State(app): State<App>, PathPhoto(photo): PathPhoto, request: Request) -> Result<Response, Problem> {
     let pairs = parameters(request).await?;
     let (_, done) = AppState::finished(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
@@ -208,7 +209,7 @@ impl FromRequestParts<App> for OrderedFile {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Problem> {
-        let Found(photo) = Found::from_request_parts(parts, app).await?;
+        let PathPhoto(photo) = PathPhoto::from_request_parts(parts, app).await?;
         let none = || Problem::not_found("the photo has no such file: it was not ordered, or was deleted; order it again");
         let Path((_, key)) = Path::<(String, String)>::from_request_parts(parts, app).await.map_err(|_| none())?;
         let (_, done) = AppState::finished(&photo).map_err(|_| none())?;

@@ -10,6 +10,7 @@ mod oembed;
 mod openapi_shared;
 mod openapi_values;
 mod owner_tickets;
+mod path_photo;
 mod photo_state;
 mod photos;
 mod query;

@@ -9,8 +9,9 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
+use super::path_photo::PathPhoto;
 use super::photo_state::{PhotoList, PhotoState};
-use super::query::{Found, NoQuery, Pairs, decode};
+use super::query::{NoQuery, Pairs, decode};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, StoredFile};
 use crate::server::conditional::{Entity, check_if_match, insert, respond, respond_uncached};
@@ -302,7 +303,7 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
         (status = 304, description = "The client has it"),
     )
 )]
-pub async fn settings(_: NoQuery, Found(photo): Found, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn settings(_: NoQuery, PathPhoto(photo): PathPhoto, headers: HeaderMap) -> Result<Response, Problem> {
     let settings = Settings::of(&photo);
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
     let file = StoredFile::new(bytes);
@@ -394,7 +395,7 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
         (status = 412, description = "It was changed meanwhile"),
     )
 )]
-pub async fn delete(State(app): State<App>, _: NoQuery, Found(photo): Found, headers: HeaderMap) -> Result<StatusCode, Problem> {
+pub async fn delete(State(app): State<App>, _: NoQuery, PathPhoto(photo): PathPhoto, headers: HeaderMap) -> Result<StatusCode, Problem> {
     check_if_match(&headers, &state_now(&app, &photo, None).await?.etag)?;
     let deleted = app.library.delete(photo.id, Some(photo.accepted_at)).await?;
     app.evict_photo(photo.id).await;

@@ -6,16 +6,14 @@ use std::ops::RangeInclusive;
 use std::str::FromStr;
 
 use axum::body::HttpBody as _;
-use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
+use axum::extract::{FromRequest, FromRequestParts, Query, Request};
 use axum::http::Uri;
 use axum::http::request::Parts;
 use clap::ValueEnum;
 
-use crate::server::app_state::App;
 use crate::server::photo_options::value_name;
 use crate::server::problem::Problem;
 use crate::server::request_body;
-use tmpi_library::Photo;
 
 /// All parameters of a query, decoded.
 ///
@@ -120,19 +118,6 @@ impl<S: Sync> FromRequestParts<S> for NoQuery {
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
         Pairs::read(&parts.uri, &[]).map(|_| Self)
-    }
-}
-
-/// Extractor of the photo whose id the path has.
-pub struct Found(pub Photo);
-
-impl FromRequestParts<App> for Found {
-    type Rejection = Problem;
-
-    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Problem> {
-        let path = Path::<BTreeMap<String, String>>::from_request_parts(parts, app).await;
-        let Path(parameters) = path.map_err(|e| Problem::new(e.status(), "request", e.body_text()))?;
-        app.photo(parameters.get("id").map_or("", String::as_str)).await.map(Self)
     }
 }
 

@@ -4,9 +4,10 @@ use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::Response;
 
+use super::path_photo::PathPhoto;
 use super::photo_state::PhotoState;
 use super::photos::{self, prefer_wait};
-use super::query::{Found, NoBody, Pairs};
+use super::query::{NoBody, Pairs};
 use crate::server::app_state::{App, AppState};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
@@ -34,7 +35,7 @@ use tmpi_library::Photo;
 )]
 pub async fn remake(
     State(app): State<App>,
-    Found(photo): Found,
+    PathPhoto(photo): PathPhoto,
     Extension(clock): Extension<TimeLimit>,
     uri: Uri,
     headers: HeaderMap,

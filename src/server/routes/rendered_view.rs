@@ -20,7 +20,7 @@ use tmpi_library::Photo;
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_multiview, encode};
 
 use super::derived_answer::Derived;
-use super::query::Found;
+use super::path_photo::PathPhoto;
 use super::rendered_view_query::ViewQuery;
 
 /// The format that the client prefers; PNG without a preference. `None` if it accepts none.
@@ -82,7 +82,7 @@ fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFo
 pub async fn view(
     State(app): State<App>,
     Extension(clock): Extension<TimeLimit>,
-    Found(photo): Found,
+    PathPhoto(photo): PathPhoto,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {

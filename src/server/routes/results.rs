@@ -4,7 +4,8 @@ use axum::extract::State;
 use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
-use super::query::{Found, OnlyVersion, Pairs};
+use super::path_photo::PathPhoto;
+use super::query::{OnlyVersion, Pairs};
 use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, cache_control_for, respond};
 use crate::server::problem::Problem;
@@ -48,7 +49,7 @@ use tmpi_pipeline::strokes;
         (status = 416, description = "There are no such bytes"),
     )
 )]
-pub async fn atlas(State(app): State<App>, Found(photo): Found, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn atlas(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     // check the query first: 400 goes before 409
     let pairs = Pairs::read(&uri, &["level", "fit", "region", "sections", "v"])?;
     wanted_level(&pairs, 0)?;
@@ -97,7 +98,7 @@ fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
         (status = 409, description = "Not finished yet"),
     )
 )]
-pub async fn depth(State(app): State<App>, Found(photo): Found, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn depth(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let mut pairs = Pairs::read(&uri, &["before", "v"])?;
     let before = pairs.parse("before", "strokes", |text| (text == "strokes").then_some(()))?;
     if before.is_none() {
@@ -122,7 +123,7 @@ pub async fn depth(State(app): State<App>, Found(photo): Found, uri: Uri, header
         (status = 409, description = "Not finished yet"),
     )
 )]
-pub async fn report(State(app): State<App>, v: OnlyVersion, Found(photo): Found, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn report(State(app): State<App>, v: OnlyVersion, PathPhoto(photo): PathPhoto, headers: HeaderMap) -> Result<Response, Problem> {
     stored(&app, &photo, &v, &headers, Part::Report, "application/json").await
 }
 
@@ -136,7 +137,12 @@ pub async fn report(State(app): State<App>, v: OnlyVersion, Found(photo): Found,
         (status = 409, description = "Not finished yet"),
     )
 )]
-pub async fn thumbnail(State(app): State<App>, v: OnlyVersion, Found(photo): Found, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn thumbnail(
+    State(app): State<App>,
+    v: OnlyVersion,
+    PathPhoto(photo): PathPhoto,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
     stored(&app, &photo, &v, &headers, Part::Thumbnail, "image/jpeg").await
 }
 

@@ -5,9 +5,10 @@ use axum::extract::{Extension, Request, State};
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse as _, Response};
 
+use super::path_photo::PathPhoto;
 use super::photo_state::PhotoState;
 use super::photos::merge_patch;
-use super::query::{Found, NoQuery};
+use super::query::NoQuery;
 use super::remake;
 use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{Entity, check_if_match, insert, respond};
@@ -52,7 +53,7 @@ pub struct StrokesPatch {
         (status = 304, description = "The client has it"),
     )
 )]
-pub async fn strokes(State(app): State<App>, _: NoQuery, Found(photo): Found, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn strokes(State(app): State<App>, _: NoQuery, PathPhoto(photo): PathPhoto, headers: HeaderMap) -> Result<Response, Problem> {
     let file = stored(&app.strokes(&photo).await?);
     Ok(respond(&headers, Entity::json(file.source, &file.etag)))
 }
@@ -87,7 +88,7 @@ pub async fn touch_up(
     State(app): State<App>,
     Extension(clock): Extension<TimeLimit>,
     _: NoQuery,
-    Found(photo): Found,
+    PathPhoto(photo): PathPhoto,
     request: Request,
 ) -> Result<Response, Problem> {
     let (headers, body) = merge_patch(request, BYTES, "strokes").await?;
