@@ -67,8 +67,8 @@ export class ShadowTree {
     this.#poster.loading = 'lazy';
     this.#posterSlot.name = 'poster';
     // any poster gives the photo's shape before the photo is there
-    this.#posterSlot.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
-    host.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
+    this.#posterSlot.addEventListener('load', ({ target }) => this.#pictureLoaded(target), true);
+    host.addEventListener('load', ({ target }) => this.#pictureLoaded(target), true);
     this.stage.tabIndex = 0;
     this.stage.setAttribute('role', 'application');
     this.shadow.append(make('div', 'room', this.#posterSlot, this.stage), this.#error, this.#full);
@@ -78,6 +78,15 @@ export class ShadowTree {
   connected() {
     // a slotted poster may have loaded already
     this.#shapeOf(this.#host.querySelector('[slot=poster]'));
+  }
+
+  /**
+   * A poster may load after the photo has failed.
+   * @param {EventTarget | null} picture
+   */
+  #pictureLoaded(picture) {
+    this.#shapeOf(picture);
+    if (this.#posterVisible) this.#error.hidden = true;
   }
 
   /**
@@ -139,8 +148,9 @@ export class ShadowTree {
     else this.#poster.removeAttribute('src');
   }
 
-  /** Whether there is a poster. */
-  get #hasPoster() {
+  /** Whether there is a loaded poster, and nothing above it. */
+  get #posterVisible() {
+    if (this.#posterSlot.hidden) return false;
     const given = this.#host.querySelector('[slot=poster]');
     return given instanceof HTMLImageElement ? given.naturalWidth > 0 : Boolean(given) || this.#poster.naturalWidth > 0;
   }
@@ -150,7 +160,7 @@ export class ShadowTree {
    * @param {string} reason
    */
   fail(reason) {
-    if (this.#hasPoster && !this.#posterSlot.hidden) return;
+    if (this.#posterVisible) return;
     const why = this.#error.querySelector('.reason');
     if (why) why.textContent = reason;
     this.#error.hidden = false;

@@ -172,9 +172,18 @@ describe('restrictive pages', () => {
         const rect = (e) => e?.checkVisibility() && e.naturalWidth > 0 && e.getBoundingClientRect().height > 0;
         return [...shadowRoot.querySelectorAll('img')].some(rect) && shadowRoot.querySelector('.error').hidden;
       });
+    const abortViewer = (page) => page.route('**/static/view/viewer.js', (route) => route.abort());
+    const failBeforePoster = async (page) => {
+      await abortViewer(page);
+      await page.route(`**${photo.links.thumbnail}`, async (route) => {
+        await page.waitForFunction(() => window.messages?.length > 0);
+        await route.continue();
+      });
+    };
     for (const [name, headers, prepare] of [
       ['without WebAssembly', { 'content-security-policy': `script-src 'unsafe-inline' ${server.url}; worker-src blob:` }, undefined],
-      ['without the viewer', {}, (page) => page.route('**/static/view/viewer.js', (route) => route.abort())],
+      ['without the viewer', {}, abortViewer],
+      ['before the poster has loaded', {}, failBeforePoster],
       ['without the container', {}, (page) => page.route('**/box.tmpi', (route) => route.fulfill({ status: 503, body: '' }))],
     ]) {
       const { page, context } = await open(element(poster, '/box.tmpi'), { headers, prepare });
