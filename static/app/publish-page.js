@@ -136,7 +136,7 @@ async function share() {
   const { token } = response.ok ? await response.json() : { token: null };
   $('link', HTMLInputElement).value = linkTo(room.name, token);
   // a token begins with its expiry time
-  const until = Number(token?.split('.')[0]);
+  const until = Number(token?.split('-')[0]);
   const notes = [
     until
       ? t('It is valid until {0}.', moment(until))

@@ -44,7 +44,8 @@ describe('tokens', () => {
     // the page fetches the link from the server
     await publisher.page.waitForFunction(() => document.querySelector('#link').value);
     const link = new URL(await publisher.page.locator('#link').inputValue());
-    assert.match(link.hash, /^#token=\d+\.[0-9a-f]+$/);
+    assert.match(link.hash, /^#token=\d+-[0-9a-f]+$/);
+    assert.match(await publisher.page.locator('#link-note').textContent(), /^It is valid until /);
     const { page, context, errors } = await suite.watch('attic', { hash: link.hash, prepare: recordRequests });
     await waitForMode(page, 'gpu');
     assert.ok(
