@@ -160,3 +160,22 @@ fn every_test_in_the_threat_model_exists() {
     let missing: Vec<&&str> = named.iter().filter(|name| !sources.contains(&format!("fn {name}()"))).collect();
     assert!(missing.is_empty(), "{missing:?}");
 }
+
+#[test]
+fn proxies_log_no_tokens_and_no_links() {
+    for file in ["one", "cluster"] {
+        let text = read(&format!("docker/caddy/{file}.Caddyfile"));
+        for line in ["replace token", "replace signature", "replace url", "Sec-Websocket-Protocol delete", "resp_headers>Location delete"] {
+            assert!(text.contains(line), "{file}: {line}");
+        }
+    }
+}
+
+#[test]
+fn nodes_of_a_cluster_may_reach_database_and_store() {
+    let policy = read("docker/kubernetes/cluster/network.yaml");
+    let egress = policy.split_once("  egress:").unwrap().1;
+    for port in ["443", "5432"] {
+        assert!(egress.contains(&format!("{{protocol: TCP, port: {port}}}")), "{port}");
+    }
+}

@@ -70,7 +70,7 @@ impl StoredFile {
         match opened.map_err(io::Error::other).flatten() {
             Ok(Some(file)) => Ok(Self { source: Source::File(Arc::new(file), blob.bytes as usize), etag }),
             Ok(None) => Err(damaged("it is not what was written")),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Err(damaged("it is missing")),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Err(blobs.missing(part).await),
             Err(error) => Err(damaged(&format!("it cannot be read: {error}"))),
         }
     }

@@ -66,9 +66,19 @@ impl Tls {
     }
 
     /// Uses a new certificate from its file, until `stop`. Keeps the old one if the files are unreadable or only half of a new pair.
-    pub(super) async fn follow(mut self, stop: CancellationToken) {
+    pub(super) async fn follow(self, stop: CancellationToken) {
+        let mut files = self;
         while stop.run_until_cancelled(tokio::time::sleep(LOOK)).await.is_some() {
-            match self.renew() {
+            let renewal = tokio::task::spawn_blocking(move || {
+                let outcome = files.renew();
+                (files, outcome)
+            });
+            let Ok((same, outcome)) = renewal.await else {
+                tracing::error!("renewals of the certificate are no longer followed");
+                return;
+            };
+            files = same;
+            match outcome {
                 Ok(false) => {}
                 Ok(true) => tracing::info!("using the new certificate"),
                 Err(error) => tracing::warn!(error = &error as &dyn std::error::Error, "keeping the old certificate"),

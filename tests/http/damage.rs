@@ -96,6 +96,22 @@ fn requests_for_a_damaged_photo_report_the_damage() {
 }
 
 #[test]
+fn a_folder_that_is_away_damages_no_photo() {
+    for photo in [jpeg(1), noise()] {
+        let made = made(Limits { cache: Caches { scenes: 0, files: 0, views: 0, ..Caches::default() }, ..Limits::default() }, photo);
+        let (blobs, away) = (made.server.data().join("blobs"), made.server.data().join("away"));
+        let path = format!("/v1/photos/{}/atlas", made.id);
+        std::fs::rename(&blobs, &away).unwrap();
+        std::fs::create_dir(&blobs).unwrap();
+        assert_eq!(get(made.server.addr, &path).problem(503)["type"], "urn:tmpi:problem:store-unreachable");
+        assert_eq!(made.server.state(&made.id)["state"], "done");
+        std::fs::remove_dir(&blobs).unwrap();
+        std::fs::rename(&away, &blobs).unwrap();
+        assert_eq!(get(made.server.addr, &path).body, made.whole);
+    }
+}
+
+#[test]
 fn the_integrity_check_finds_damage_without_requests() {
     let soon = Duration::from_millis(20);
     let made = made(Limits { verify_first: soon, verify_interval: soon, ..Limits::default() }, jpeg(1));

@@ -20,7 +20,7 @@ pub use folder::{DiskSpace, Reserve};
 
 use crate::Millis;
 use crate::digest::{Digest, hex};
-use crate::error::{LibraryError, Result};
+use crate::error::{LibraryError, Result, Service};
 use crate::ids::{PhotoId, random};
 use crate::photo::{Blob, Blobs, Part, blob_names};
 use folder::Folder;
@@ -218,6 +218,15 @@ impl BlobStore {
         on_either!(self, store => store.get(name, range).await)
     }
 
+    /// The error of a blob that is not found: it is damaged, unless the whole store is away, such as a folder that is not mounted.
+    pub async fn missing(&self, part: Part) -> LibraryError {
+        match self.library().await {
+            Ok(Some(_)) => LibraryError::Damaged { part, detail: "it is missing".into() },
+            Ok(None) => LibraryError::Unavailable { service: Service::Blobs, reason: format!("it has no {LIBRARY}") },
+            Err(error) => error,
+        }
+    }
+
     /// A range of a blob's bytes.
     ///
     /// # Errors
@@ -229,11 +238,11 @@ impl BlobStore {
     /// A whole blob, checked against its size and digest.
     ///
     /// # Errors
-    /// [`LibraryError::Damaged`].
+    /// [`LibraryError::Damaged`], also if it is [missing](Self::missing).
     pub async fn read(&self, part: Part, blob: &Blob) -> Result<Bytes> {
         let damaged = |detail: String| LibraryError::Damaged { part, detail };
         let bytes = match self.get(&blob.name, None).await {
-            Err(LibraryError::NotFound(_)) => return Err(damaged("it is missing".into())),
+            Err(LibraryError::NotFound(_)) => return Err(self.missing(part).await),
             read => read?,
         };
         if bytes.len() as u64 != blob.bytes {

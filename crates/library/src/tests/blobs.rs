@@ -3,6 +3,7 @@ use super::*;
 on_both! {
     gc_deletes_blobs_without_references_after_a_day,
     fsck_finds_missing_truncated_and_changed_blobs,
+    blobs_of_a_folder_that_is_away_are_not_damaged,
     a_store_of_another_library_is_refused,
     garbage_collection_runs_once_a_day_on_one_node,
 }
@@ -53,6 +54,21 @@ async fn fsck_finds_missing_truncated_and_changed_blobs(bed: Bed) {
         states.push(library.get(photo.id).await.unwrap().state);
     }
     assert_eq!(states, [PhotoState::Damaged, PhotoState::Damaged, PhotoState::Damaged, PhotoState::Done], "it can be served");
+}
+
+async fn blobs_of_a_folder_that_is_away_are_not_damaged(bed: Bed) {
+    let library = bed.node().await;
+    let made = done(&library, 1, owner("ann")).await;
+    let (blobs, away) = (bed.path().join("blobs"), bed.path().join("away"));
+    std::fs::rename(&blobs, &away).unwrap();
+    // a mount point without its disk
+    std::fs::create_dir(&blobs).unwrap();
+    let told = library.fsck().await;
+    assert!(matches!(told, Err(LibraryError::Unavailable { service: Service::Blobs, .. })), "{told:?}");
+    assert_eq!(library.get(made.id).await.unwrap().state, PhotoState::Done);
+    std::fs::remove_dir(&blobs).unwrap();
+    std::fs::rename(&away, &blobs).unwrap();
+    assert_eq!(library.fsck().await.unwrap(), []);
 }
 
 #[tokio::test]
