@@ -359,7 +359,10 @@ mod tests {
         let frame = |kind: &str| format!(r"\000\000\001\{kind}\210\007");
         let group = ["145", "101", "101", "101", "101"].map(frame).concat();
         let mut command = Command::new("sh");
-        command.args(["-c", &format!("for i in 1 2 3 4 5 6 7 8; do printf '{group}'; sleep 0.025; done")]);
+        let folder = tempfile::tempdir().unwrap();
+        let end = folder.path().join("end");
+        let play = format!("printf '{group}'; sleep 0.025");
+        command.args(["-c", &format!("{play}; until [ -e '{}' ]; do {play}; done", end.display())]);
         let mut source = Source::Program(Program::start(command, false).unwrap().into());
         let next = source.next().await.unwrap();
         let silence = Duration::from_millis(300);
@@ -368,8 +371,16 @@ mod tests {
         let heard = [AtomicU32::new(0), AtomicU32::new(0)];
         let (mut addresses, hello) = (Addresses::new(&rooms, None), Hello::default());
         let sent = timeout(Duration::from_mins(1), sender.publish(&mut addresses, &hello));
+        let finish = async {
+            while heard[1].load(Ordering::Relaxed) == 0 {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+            std::fs::write(&end, []).unwrap();
+            std::future::pending::<()>().await;
+        };
         tokio::select! {
             sent = sent => sent.expect("it is left soon").unwrap(),
+            () = finish => {}
             failed = forgetful(listener, &heard) => panic!("{failed:?}"),
         }
         let [connections, keys] = heard.map(AtomicU32::into_inner);
