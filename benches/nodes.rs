@@ -1,8 +1,8 @@
 //! How making photos scales with nodes that make them: `cargo bench --workspace --bench nodes`.
 //!
-//! All nodes are in this process, with a PostgreSQL database and a folder of contents. Making a photo takes a simulated cost, so that what is
-//! measured is what nodes do for one another: finding work, leases, results that are stored.
-//! It ends with status 1 where four nodes make less than 1.8 times what two do, or 64 less than 90 % of what they could.
+//! All nodes are in this process and share a PostgreSQL database and a folder of blobs. Making a photo takes a simulated time, so the figure
+//! is the cost of what nodes share: finding work, leases, and storing results. The benchmark exits with status 1 if four nodes make less than
+//! 1.8 times as many photos as two, or 64 nodes less than 90 % of the ideal.
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "bench")]
 
 use std::collections::BTreeMap;
@@ -18,14 +18,14 @@ use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::{MakeError, Models, Options, Silent, Sink};
 use tmpi_render::{Backend, PictureFormat, View, encode};
 
-/// What making a photo takes.
+/// Simulated time to make a photo.
 const COST: Duration = Duration::from_secs(4);
-/// Photos a worker that are counted; there are more, so that none is without work before the end.
+/// Counted photos per worker; there are more, so that no worker runs out of work before the end.
 const EACH: usize = 5;
 const MORE: usize = 2;
-/// What four workers make at least of what two do.
+/// Least ratio of four workers to two.
 const DOUBLED: f64 = 1.8;
-/// What 64 workers make at least of what they could.
+/// Least share of the ideal for 64 workers.
 const LINEAR: f64 = 0.9;
 
 /// Gives the same product after a while, once it may begin.

@@ -106,9 +106,9 @@ const CYCLES: [(&str, usize); 7] = [
     ("crates/core/src", 4),
     ("crates/lab/src", 6),
     ("crates/library/src", 3),
-    ("crates/live/src", 3),
-    ("crates/pipeline/src", 3),
-    ("crates/render/src", 3),
+    ("crates/live/src", 2),
+    ("crates/pipeline/src", 2),
+    ("crates/render/src", 2),
 ];
 
 /// Path of a module or item from the crate root.
