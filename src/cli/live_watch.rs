@@ -81,8 +81,7 @@ pub(super) fn watch(args: &WatchArgs) -> anyhow::Result<()> {
 }
 
 async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
-    let record = args.record.as_ref().map(|file| std::fs::File::create(file).with_context(|| file.display().to_string())).transpose()?;
-    let mut watcher = Watcher { args, record, second: Second::default(), frames: 0 };
+    let mut watcher = Watcher { args, record: None, second: Second::default(), frames: 0 };
     let mut addresses = Addresses::new(&args.room, args.token.as_deref());
     let sessions = addresses.sessions("subscribe", async |socket| watcher.watch(socket).await);
     let ended = match args.seconds {
@@ -98,6 +97,7 @@ async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
 
 struct Watcher<'a> {
     args: &'a WatchArgs,
+    /// The recording, created by the first message: a room without a publisher must not empty an earlier one.
     record: Option<std::fs::File>,
     second: Second,
     /// Frames in total.
@@ -117,6 +117,9 @@ impl Watcher<'_> {
                 Ok(None) => continue,
                 Err(error) => break (error, Some(AGAIN)),
             };
+            if let Some(path) = self.args.record.as_ref().filter(|_| self.record.is_none()) {
+                self.record = Some(std::fs::File::create(path).with_context(|| path.display().to_string())?);
+            }
             if let Some(file) = &mut self.record {
                 file.write_all(&(bytes.len() as u32).to_le_bytes()).and_then(|()| file.write_all(&bytes))?;
             }

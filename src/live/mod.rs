@@ -8,15 +8,15 @@
 //! |---|---|
 //! | `signed_token` | the tokens with which people publish and watch |
 //! | `request_access` | the state of the handlers, and access checks |
-//! | `room_state` | the state of a room, for its pages |
+//! | `room_status` | the state of a room, for its pages |
 //! | `routes` | the routes, the upgrade to WebSockets, and tokens for viewers |
 //! | `publisher`, `viewer` | one socket each |
 //! | `token_bucket` | the rate limit of a client's messages |
 //! | `room` | the state that sockets and threads of a room share |
 //! | `snapshot` | the last frame with its geometry |
 //! | `ring` | messages since the last key frame |
-//! | `http_gops` | the same as groups of pictures (GOPs), for plain HTTP |
-//! | `plain_http` | the newest frame and groups of pictures by plain HTTP |
+//! | `gop_store` | the same as groups of pictures (GOPs), for plain HTTP |
+//! | `frames_over_http` | the newest frame and groups of pictures by plain HTTP |
 //! | `tile_store` | the tiles of a room as encoded chunks |
 //! | `origin_lease` | which node has a room, and this node's lease of it |
 //! | `origin_client` | requests to the node that has a room |
@@ -25,15 +25,15 @@
 
 mod edge;
 mod frame_threads;
-mod http_gops;
+mod frames_over_http;
+mod gop_store;
 mod origin_client;
 mod origin_lease;
-mod plain_http;
 mod publisher;
 mod request_access;
 mod ring;
 mod room;
-mod room_state;
+mod room_status;
 pub(crate) mod routes;
 mod signed_token;
 mod snapshot;

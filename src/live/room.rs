@@ -11,7 +11,7 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Bye, Hello, Statistics};
 use tmpi_core::live::write;
 
-use super::http_gops::{Group, GroupPart, Groups};
+use super::gop_store::{Group, GroupPart, Groups};
 use super::ring::{Cursor, MessageKind, Ring, Step};
 pub use super::snapshot::{FrameWithTiles, Tiles};
 use super::tile_store::Chunks;

@@ -16,7 +16,7 @@ use utoipa_axum::routes;
 use super::request_access::{RoomAccess, RoomsContext, busy, none_publishes};
 use super::room::ViewerKind;
 use super::signed_token::{PROTOCOL, room_token, token_expiry, token_in_headers};
-use super::{Grant, plain_http, publisher, room_state, viewer};
+use super::{Grant, frames_over_http, publisher, room_status, viewer};
 use crate::server::{ConnectionGuard, NoBody, Pairs, Problem, since_1970};
 
 /// Write buffer of a viewer: the largest message and nothing else.
@@ -29,10 +29,10 @@ const TOKEN_LIFETIME: Duration = Duration::from_hours(24);
 /// Routes for viewers. Pages of other sites may use them with a token.
 pub fn watching_api() -> OpenApiRouter<RoomsContext> {
     OpenApiRouter::new()
-        .routes(routes!(room_state::state))
+        .routes(routes!(room_status::state))
         .routes(routes!(subscribe))
-        .routes(routes!(plain_http::newest))
-        .routes(routes!(plain_http::group))
+        .routes(routes!(frames_over_http::newest))
+        .routes(routes!(frames_over_http::group))
 }
 
 /// Routes for publishers.

@@ -24,11 +24,11 @@ use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::client_slots::{ClientSlot, ClientSlots};
+use super::http2_streams::{PIECE, StreamHealth, Streams, TrackedBody};
 use super::limits::Limits;
 use super::metrics::{GaugeGuard, Telemetry};
 use super::minimum_rate::{MinimumRate, SmallBuffer, limit_send_buffer};
 use super::proxies::Proxies;
-use super::stream_health::{PIECE, StreamHealth, Streams, TrackedBody};
 use super::tls::{self, Tls};
 
 /// Pause after the system refuses to accept a connection, for example without free file descriptors.

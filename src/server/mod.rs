@@ -25,6 +25,7 @@ mod finished_photo;
 #[doc(hidden)]
 pub mod fuzzing;
 mod hosts;
+mod http2_streams;
 mod idle_trim;
 mod limits;
 mod link_preview;
@@ -44,7 +45,6 @@ mod proxies;
 mod rate_limit;
 mod request_body;
 mod routes;
-mod stream_health;
 mod time_limit;
 mod timestamps;
 mod tls;

@@ -219,9 +219,14 @@ fn the_program_publishes_and_watches_a_room_over_tls() {
         .map(|line| serde_json::from_str::<Value>(line).unwrap()["frames"].as_u64().unwrap())
         .sum();
     assert!(frames > 0);
-    let stranger = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["live", "watch", &room, "--seconds", "1"]).output().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let record = folder.path().join("record");
+    std::fs::write(&record, b"an earlier room").unwrap();
+    let watch = ["live", "watch", &room, "--seconds", "1", "--record", record.to_str().unwrap()];
+    let stranger = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(watch).output().unwrap();
     assert!(!stranger.status.success(), "an unknown issuer is not trusted");
     assert!(String::from_utf8(stranger.stderr).unwrap().contains("certificate"));
+    assert_eq!(std::fs::read(&record).unwrap(), b"an earlier room", "nothing came to record");
 }
 
 #[test]

@@ -15,7 +15,7 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
 use super::Grant;
-use super::http_gops::{Group, GroupPart};
+use super::gop_store::{Group, GroupPart};
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::Room;
 use crate::server::{ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
