@@ -17,7 +17,7 @@ use super::request_access::{RoomAccess, RoomsContext, busy, none_publishes};
 use super::room::ViewerKind;
 use super::signed_token::{PROTOCOL, room_token, token_expiry, token_in_headers};
 use super::{Grant, frames_over_http, publisher, room_status, viewer};
-use crate::server::{ConnectionGuard, NoBody, Pairs, Problem, since_1970};
+use crate::server::{ConnectionGuard, EmptyBody, Pairs, Problem, since_1970};
 
 /// Write buffer of a viewer: the largest message and nothing else.
 const WRITE_BUFFER: usize = 2 << 20;
@@ -159,7 +159,7 @@ async fn watch_token(
     Path(name): Path<String>,
     uri: Uri,
     headers: HeaderMap,
-    _: NoBody,
+    _: EmptyBody,
 ) -> Result<Json<WatchToken>, Problem> {
     here.check(&name, Grant::Publish, &uri, &headers).await?;
     let query = Pairs::read(&uri, &["token"])?;

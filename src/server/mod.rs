@@ -83,7 +83,7 @@ pub use outbound::AddressPolicy;
 pub use problem::Problem;
 pub use proxies::{Network, Proxies};
 pub use routes::{Access, Route, openapi, openapi_of, routes};
-pub(crate) use routes::{NoBody, Pairs};
+pub(crate) use routes::{EmptyBody, Pairs};
 pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 pub use webhooks::ConfiguredWebhook;

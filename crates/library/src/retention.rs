@@ -92,7 +92,7 @@ impl Library {
         Ok((deleted, freed))
     }
 
-    /// Removes unused exports, rooms that nobody has, and the log of deliveries beyond its limits; returns the number of exports.
+    /// Removes unused exports, abandoned rooms, and the log of deliveries beyond its limits; returns the number of exports.
     async fn sweep_ended(&self) -> Result<u64> {
         let mut tx = self.database().write().await?;
         room_leases::end_abandoned(&mut tx).await?;

@@ -6,7 +6,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-use super::query::{NoBody, NoQuery};
+use super::query::{EmptyBody, NoQuery};
 use crate::server::app_state::{App, AppState};
 use crate::server::depth_network_download::{DownloadState, NetworkOffer};
 use crate::server::problem::Problem;
@@ -80,7 +80,7 @@ pub async fn network(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         (status = 403, description = "The caller is not this machine's own user"),
     )
 )]
-pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
+pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap, _: EmptyBody) -> Result<Response, Problem> {
     own(&app, &headers)?;
     app.download.start(&app.maker).map_err(|e| Problem::internal("fetching a network", &e))?;
     let now = network_now(&app);

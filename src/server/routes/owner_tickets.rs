@@ -7,7 +7,7 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-use super::query::{NoBody, NoQuery, Pairs};
+use super::query::{EmptyBody, NoQuery, Pairs};
 use crate::server::access;
 use crate::server::app_state::App;
 use crate::server::conditional::insert;
@@ -33,7 +33,7 @@ pub struct Ticket {
         (status = 403, description = "The caller has no owner's secret"),
     )
 )]
-pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Response, Problem> {
+pub async fn ticket(State(app): State<App>, _: NoQuery, _: EmptyBody) -> Result<Response, Problem> {
     let Some((guard, owner)) = app.guard.as_ref().zip(access::owner_by_secret()) else {
         let detail = "only a caller with an owner's secret can make another browser that owner";
         return Err(Problem::new(StatusCode::FORBIDDEN, "no-owner", detail));
@@ -58,7 +58,7 @@ pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Res
         (status = 409, description = "The browser has another owner's cookie; without it, it loses access to that owner's photos"),
     )
 )]
-pub async fn adopt_owner(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
+pub async fn adopt_owner(State(app): State<App>, uri: Uri, headers: HeaderMap, _: EmptyBody) -> Result<Response, Problem> {
     let replace = Pairs::read(&uri, &["replace"])?.parse("replace", "true or false", |text| text.parse().ok())?.unwrap_or(false);
     let mut response = StatusCode::NO_CONTENT.into_response();
     if let Some(guard) = &app.guard

@@ -122,9 +122,9 @@ impl<S: Sync> FromRequestParts<S> for NoQuery {
 }
 
 /// Extractor of routes without a body. It refuses one, rather than ignore it silently.
-pub struct NoBody;
+pub struct EmptyBody;
 
-impl<S: Sync> FromRequest<S> for NoBody {
+impl<S: Sync> FromRequest<S> for EmptyBody {
     type Rejection = Problem;
 
     async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {

@@ -7,7 +7,7 @@ use axum::response::Response;
 use super::path_photo::PathPhoto;
 use super::photo_state::PhotoState;
 use super::photos::{self, prefer_wait};
-use super::query::{NoBody, Pairs};
+use super::query::{EmptyBody, Pairs};
 use crate::server::app_state::{App, AppState};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
@@ -39,7 +39,7 @@ pub async fn remake(
     Extension(clock): Extension<TimeLimit>,
     uri: Uri,
     headers: HeaderMap,
-    _: NoBody,
+    _: EmptyBody,
 ) -> Result<Response, Problem> {
     let class = Pairs::read(&uri, &["class"])?.parse("class", "interactive or batch", class_of)?.unwrap_or_default();
     let queued = app.library.remake(&photo, class, &AppState::requester(photo.owner.clone())).await?;

@@ -7,7 +7,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use super::path_photo::PathPhoto;
-use super::query::{NoBody, NoQuery, Pairs};
+use super::query::{EmptyBody, NoQuery, Pairs};
 use crate::server::access;
 use crate::server::app_state::App;
 use crate::server::problem::Problem;
@@ -52,7 +52,7 @@ pub struct PhotoLink {
         (status = 400, description = "A parameter is wrong, or there is a body"),
     )
 )]
-pub async fn links(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri, _: NoBody) -> Result<Json<PhotoLink>, Problem> {
+pub async fn links(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri, _: EmptyBody) -> Result<Json<PhotoLink>, Problem> {
     let pairs = Pairs::read(&uri, &["seconds"])?;
     let most = app.limits.link.as_secs();
     let given = pairs.number("seconds", &(1..=most))?;
@@ -88,7 +88,7 @@ pub async fn links(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri
         (status = 404, description = "There is no such photo, or the token is not its own, or is revoked"),
     )
 )]
-pub async fn keep_token(_: NoQuery, PathPhoto(photo): PathPhoto, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
+pub async fn keep_token(_: NoQuery, PathPhoto(photo): PathPhoto, headers: HeaderMap, _: EmptyBody) -> Result<Response, Problem> {
     let mut response = StatusCode::NO_CONTENT.into_response();
     access::set_manage(&mut response, &headers, photo.id);
     Ok(response)

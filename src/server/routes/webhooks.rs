@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::photos::merge_patch;
-use super::query::{NoBody, NoQuery, Pairs};
+use super::query::{EmptyBody, NoQuery, Pairs};
 use super::webhook_state::{DeliveryList, DeliveryRecord, WebhookList, WebhookOrder, WebhookPatch, WebhookState, WebhookTest};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, AppState};
@@ -233,7 +233,13 @@ pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
         (status = 409, description = "It is disabled"),
     )
 )]
-pub async fn test(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
+pub async fn test(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    _: NoQuery,
+    headers: HeaderMap,
+    _: EmptyBody,
+) -> Result<Response, Problem> {
     Whose::of(&app, &headers)?.find(&app, &id).await?;
     let delivery = app.library.ping(&id).await.map_err(|error| match error {
         LibraryError::Invalid(detail) => Problem::new(StatusCode::CONFLICT, "disabled", detail),
