@@ -64,6 +64,8 @@ impl Http {
         one.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
         two.timer(TokioTimer::new()).max_header_list_size(Limits::HEADER_BYTES as u32).max_concurrent_streams(limits.streams_at_once);
         two.initial_stream_window_size(WINDOWS.0).initial_connection_window_size(WINDOWS.1);
+        // a stream whose client does not read holds one piece
+        two.max_send_buf_size(PIECE);
         two.keep_alive_interval(PING.0).keep_alive_timeout(PING.1);
         Self { one, two }
     }

@@ -10,7 +10,10 @@ use bytes::Bytes;
 use futures_util::stream;
 use tmpi_library::{Blob, BlobStore};
 
-/// Bytes to read at a time, so that a slow client holds no more of a file in memory.
+/// Bytes to read first. Each piece is twice as large as the one before, so that a client holds memory only in proportion to what it has read.
+const FIRST_PIECE: usize = 64 << 10;
+
+/// Most bytes of a file to read at a time, so that a slow client holds no more of it in memory.
 const PIECE: usize = 256 << 10;
 
 /// The same for an object store, which has a higher latency.
@@ -63,13 +66,13 @@ impl Source {
             Self::File(..) => PIECE,
             Self::Object(..) => OBJECT_PIECE,
         };
-        let pieces = stream::try_unfold((self, range), move |(source, left)| async move {
+        let pieces = stream::try_unfold((self, range, FIRST_PIECE), move |(source, left, length)| async move {
             if left.is_empty() {
                 return Ok::<_, io::Error>(None);
             }
-            let end = left.end.min(left.start + most);
+            let end = left.end.min(left.start + length);
             let piece = source.read(left.start..end).await?;
-            Ok(Some((piece, (source, end..left.end))))
+            Ok(Some((piece, (source, end..left.end, most.min(2 * length)))))
         });
         Body::from_stream(pieces)
     }
@@ -112,10 +115,16 @@ mod tests {
 
     #[tokio::test]
     async fn a_file_is_sent_in_pieces_and_a_shorter_one_is_an_error() {
-        let bytes: Vec<u8> = (0..PIECE * 2 + 77).map(|i| (i * 7) as u8).collect();
+        let bytes: Vec<u8> = (0..PIECE * 3 + 77).map(|i| (i * 7) as u8).collect();
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(&bytes).unwrap();
         let file = Arc::new(file);
+        let mut body = Source::File(Arc::clone(&file), bytes.len()).body(0..bytes.len());
+        let mut lengths = Vec::new();
+        while let Some(frame) = body.frame().await {
+            lengths.push(frame.unwrap().into_data().unwrap().len());
+        }
+        assert_eq!(lengths, [FIRST_PIECE, 2 * FIRST_PIECE, PIECE, PIECE, PIECE / 4 + 77]);
         let send = async |length, range| {
             Source::File(Arc::clone(&file), length).body(range).collect().await.map(http_body_util::Collected::to_bytes)
         };

@@ -448,7 +448,7 @@ def hostile(server, stream, table, full):
     cases = [
         ("a text message", on_connect(lambda c: c.raw(0x81, b"hello")), "binary"),
         ("bytes that are no message", on_connect(lambda c: c.send(b"\xff" * 60)), "not a readable message"),
-        ("an empty message", on_connect(lambda c: c.send(b"")), "no known kind"),
+        ("an empty message", on_connect(lambda c: c.send(b"")), "unknown kind"),
         ("video before HELLO", on_connect(lambda c: c.send(video(0, b"x", True))), "HELLO"),
         ("unknown version", on_connect(lambda c: c.send(hello(version=9))), "version"),
         ("100 000×9 frames", on_connect(lambda c: c.send(hello(size=(100_000, 9)))), "100000"),

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use sqlx::any::{AnyPoolOptions, AnyQueryResult, install_default_drivers};
-use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor as _, Transaction};
+use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Connection as _, Executor as _, Transaction};
 
 use crate::Millis;
 use crate::change_notifications::{CHANNEL, Event, Events};
@@ -67,7 +67,10 @@ async fn sqlite(path: &Path) -> Result<(AnyPool, AnyPool)> {
     let pool = |connections: u32, more: &'static str| {
         let options = AnyPoolOptions::new().max_connections(connections).acquire_timeout(WAIT);
         // SQLite connections do not go stale
-        options.test_before_acquire(false).idle_timeout(None).max_lifetime(None).after_connect(move |connection, _| {
+        let options = options.test_before_acquire(false).idle_timeout(None).max_lifetime(None);
+        // when a disk is full, SQLite ends a transaction by itself; sqlx does not notice, and the connection could begin no other
+        let options = options.before_acquire(|connection, _| Box::pin(async { Ok(!connection.is_in_transaction()) }));
+        options.after_connect(move |connection, _| {
             Box::pin(async move {
                 let busy = WAIT.as_millis();
                 let pragmas = format!(

@@ -3,6 +3,7 @@ use super::*;
 on_both! {
     nodes_that_open_simultaneously_create_one_schema,
     a_newer_schema_is_refused,
+    a_transaction_that_the_database_ended_does_not_prevent_the_next,
 }
 
 async fn nodes_that_open_simultaneously_create_one_schema(bed: Bed) {
@@ -38,6 +39,16 @@ async fn a_newer_schema_is_refused(bed: Bed) {
         None => Database::sqlite(&bed.path().join("library.db")).await,
     };
     assert!(matches!(again, Err(LibraryError::Invalid(told)) if told.contains("schema 1000")));
+}
+
+async fn a_transaction_that_the_database_ended_does_not_prevent_the_next(bed: Bed) {
+    let library = bed.node().await;
+    let mut tx = library.database().write().await.unwrap();
+    // as SQLite does when a disk is full
+    sqlx::raw_sql("ROLLBACK").execute(tx.connection()).await.unwrap();
+    drop(tx);
+    done(&library, 1, owner("ann")).await;
+    assert_eq!(library.list(None, None, 9).await.unwrap().photos.len(), 1);
 }
 
 #[tokio::test]
