@@ -1,5 +1,6 @@
 // Camera paths for films. Each path is closed, so that a film can loop.
 import { lookingAt, resized } from '../view/camera.js';
+import { overscan } from '../view/motion-range.js';
 
 /** @import { Offset, SceneHead } from '../decode/scene.js' */
 
@@ -7,8 +8,6 @@ import { lookingAt, resized } from '../view/camera.js';
 export const STYLES = Object.freeze(['swing', 'orbit', 'dolly', 'dolly-zoom', 'zoom', 'wiggle']);
 /** Extent of the paths, as a share of the camera's limits. */
 const EXTENT = 0.8;
-/** Enlargement that keeps the mirrored border out of the picture. */
-const OVERSCAN = 1.04;
 /** Magnification of the lens at the end of `zoom`. */
 const ZOOM = 1.3;
 /** Positions of a wigglegram, shares of EXTENT. */
@@ -45,7 +44,7 @@ export function pathAt(style, share) {
  */
 export function cameraAt({ head, limits, pivot }, { place, magnified, compensated }, size) {
   const pose = lookingAt(pivot, place.x * limits.x, place.y * limits.y, place.z * limits.z);
-  const scale = OVERSCAN * magnified * (1 - compensated * pose.tz * pivot);
+  const scale = overscan(head, limits, pivot) * magnified * (1 - compensated * pose.tz * pivot);
   // rounding changes the aspect ratio by up to a pixel: crop the excess instead of stretching
   const fill = Math.max(1, (size.height * head.width) / (size.width * head.height));
   const { fx, fy, cx, cy } = resized(head.intrinsics, head, size);

@@ -3,6 +3,7 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { cameraAt, pathAt, STYLES } from '../../../static/film/camera-path.js';
 import { planOf } from '../../../static/film/plan.js';
+import { extrinsics } from '../../../static/view/camera.js';
 
 const head = { width: 400, height: 300, intrinsics: { fx: 500, fy: 500, cx: 200, cy: 150 } };
 const scene = { head, limits: { x: 0.06, y: 0.04, z: 0.1 }, pivot: 0.4 };
@@ -45,6 +46,24 @@ describe('camera paths', () => {
     // a picture slightly taller than the photo shows nothing beyond it
     const higher = cameraAt(scene, pathAt('swing', 0), { width: 200, height: 152 });
     assert.ok((152 / 2) * (500 / higher.k.fy) < 150);
+  });
+
+  test('films show nothing from beyond the border where the photo moves as usual', () => {
+    const usual = { ...scene, limits: { x: 0.04, y: 0.03, z: 0.04 } };
+    const { width, height, intrinsics } = head;
+    for (const style of ['swing', 'orbit', 'wiggle']) {
+      for (let i = 0; i < 16; i++) {
+        const { pose, k } = cameraAt(usual, pathAt(style, i / 16), size);
+        const { r, t } = extrinsics(pose);
+        for (const [right, lower, delta] of [0, 1, 2, 3, 4, 5, 6, 7].map((bits) => [bits & 1, (bits >> 1) & 1, bits >> 2])) {
+          const q = [(right * width - intrinsics.cx) / intrinsics.fx, (lower * height - intrinsics.cy) / intrinsics.fy, 1];
+          const p = [0, 3, 6].map((row, axis) => r[row] * q[0] + r[row + 1] * q[1] + r[row + 2] * q[2] + t[axis] * delta);
+          const [x, y] = [(k.fx * p[0]) / p[2] + k.cx, (k.fy * p[1]) / p[2] + k.cy];
+          const beyond = Math.max(right ? size.width - x : x, lower ? size.height - y : y);
+          assert.ok(beyond <= 0, `${style} ${i}: corner ${right}, ${lower} at ${delta} is ${beyond} px inside`);
+        }
+      }
+    }
   });
 
   test('film sizes follow the photo, even numbers for video', () => {
