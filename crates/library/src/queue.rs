@@ -1,7 +1,7 @@
 //! The job queue.
 //!
-//! A new job gets a turn: the next one of its owner (of its address, if the caller is not authenticated), but at least that of the job at
-//! the head of the queue. Workers take jobs by class, turn and age, so that a hundred jobs of one owner do not delay the first of another.
+//! A new job gets a turn: the next one of its owner and of its address, but at least that of the job at the head of the queue.
+//! Workers take jobs by class, turn and age, so that a hundred jobs of one owner do not delay the first of another.
 
 use std::net::{IpAddr, Ipv6Addr};
 use std::time::Duration;
@@ -174,7 +174,7 @@ impl Library {
         let ended = "DELETE FROM jobs WHERE id = $1 AND state IN ('done', 'failed')";
         sqlx::query(ended).bind(&id).execute(tx.connection()).await?;
         let (owner, address) = (job.requester.owner.as_ref().map(Owner::as_str), job.requester.network());
-        let turn = turn(tx, job.class, owner.or(address.as_deref()).unwrap_or_default()).await?;
+        let turn = turn(tx, job.class, owner.unwrap_or_default(), address.as_deref().unwrap_or_default()).await?;
         let insert = format!(
             "INSERT INTO jobs (id, kind, photo, version, class, owner, address, payload, state, turn, created_at, run_after, attempts, faults,
              bytes, used_at) VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'queued', $9, $10, $10, 0, 0, 0, $10) ON CONFLICT (id) DO NOTHING
@@ -236,12 +236,14 @@ impl Library {
     }
 }
 
-/// The turn of a new job: after those of the same party, and not before the job at the head of the queue.
-async fn turn(tx: &mut Tx, class: Class, party: &str) -> Result<i64> {
+/// The turn of a new job: after those of the same owner and of the same address, and not before the job at the head of the queue. Strangers
+/// are a new owner with each upload, so owners alone would not be fair. `owner` and `address` are empty if unknown.
+async fn turn(tx: &mut Tx, class: Class, owner: &str, address: &str) -> Result<i64> {
     let turn = "SELECT COALESCE(
-        (SELECT MAX(turn) + 1 FROM jobs WHERE state = 'queued' AND class = $1 AND COALESCE(owner, address, '') = $2),
+        (SELECT MAX(turn) + 1 FROM jobs WHERE state = 'queued' AND class = $1
+            AND (owner = $2 OR address = $3 OR ($2 = '' AND $3 = '' AND owner IS NULL AND address IS NULL))),
         (SELECT MIN(turn) FROM jobs WHERE state = 'queued' AND class = $1), 0)";
-    Ok(sqlx::query_scalar(turn).bind(class.rank()).bind(party).fetch_one(tx.connection()).await?)
+    Ok(sqlx::query_scalar(turn).bind(class.rank()).bind(owner).bind(address).fetch_one(tx.connection()).await?)
 }
 
 /// Estimated time in which the running workers do this many jobs, within bounds.

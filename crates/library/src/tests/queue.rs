@@ -7,7 +7,7 @@ const DAY: i64 = 86_400_000;
 
 on_both! {
     many_workers_make_a_photo_once,
-    two_owners_take_turns,
+    owners_and_addresses_take_turns,
     interactive_jobs_come_first_but_not_always,
     a_dead_workers_job_is_taken_again_and_its_result_discarded,
     a_worker_keeps_its_lease_when_the_clock_jumps,
@@ -29,14 +29,16 @@ async fn many_workers_make_a_photo_once(bed: Bed) {
     assert_eq!(at_once(&nodes, 16, work).await.into_iter().flatten().count(), 1);
 }
 
-async fn two_owners_take_turns(bed: Bed) {
+async fn owners_and_addresses_take_turns(bed: Bed) {
     let library = bed.node().await;
     for n in 0..10 {
         library.accept(upload(n, owner("ann"))).await.unwrap();
     }
     let mut order = String::new();
     for n in 10..13 {
-        for requester in [owner("bob"), address("192.0.2.1")] {
+        // a stranger is a new owner with each upload
+        let stranger = Requester { owner: owner(&n.to_string()).owner, ..address("192.0.2.1") };
+        for requester in [owner("bob"), stranger] {
             bed.jump(1);
             library.accept(upload(n, requester)).await.unwrap();
         }
@@ -45,11 +47,11 @@ async fn two_owners_take_turns(bed: Bed) {
         let photo = make_next(&library).await;
         order.push(match photo.owner {
             Some(of) if of == Owner::of_secret("ann") => 'a',
-            Some(_) => 'b',
-            None => 'n',
+            Some(of) if of == Owner::of_secret("bob") => 'b',
+            _ => 's',
         });
     }
-    assert_eq!(order, "abnabnabn");
+    assert_eq!(order, "absabsabs");
     bed.jump(1);
     library.accept(upload(20, owner("bob"))).await.unwrap();
     make_next(&library).await;
