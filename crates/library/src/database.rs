@@ -69,7 +69,10 @@ async fn sqlite(path: &Path) -> Result<(AnyPool, AnyPool)> {
         // SQLite connections do not go stale
         let options = options.test_before_acquire(false).idle_timeout(None).max_lifetime(None);
         // when a disk is full, SQLite ends a transaction by itself; sqlx does not notice, and the connection could begin no other
-        let options = options.before_acquire(|connection, _| Box::pin(async { Ok(!connection.is_in_transaction()) }));
+        let options = options.before_acquire(|connection, _| {
+            let usable = !connection.is_in_transaction();
+            Box::pin(async move { Ok(usable) })
+        });
         options.after_connect(move |connection, _| {
             Box::pin(async move {
                 let busy = WAIT.as_millis();
