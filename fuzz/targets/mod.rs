@@ -22,7 +22,7 @@ mod room;
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 26] = [
+pub const TARGETS: [(&str, Run); 27] = [
     ("container", container),
     ("built", built),
     ("levels", levels),
@@ -34,6 +34,7 @@ pub const TARGETS: [(&str, Run); 26] = [
     ("vp9", vp9),
     ("measured", measured),
     ("query", query),
+    ("export_order", export_order),
     ("jpeg", photo),
     ("png", photo),
     ("webp", photo),
@@ -170,6 +171,15 @@ fn query(data: &[u8]) -> usize {
     let (query, range) = text.split_once('\n').unwrap_or((&text, "bytes=0-"));
     server::fuzzing::view(query);
     server::fuzzing::range(range, data.len());
+    LEAST + 64 * data.len()
+}
+
+/// An order of an export file, a film, or a model: the query, a line end, and the body in JSON. Promise: an error, or a recipe with a format,
+/// whose text reads back as the same recipe.
+fn export_order(data: &[u8]) -> usize {
+    let end = data.iter().position(|b| *b == b'\n').unwrap_or(data.len());
+    let (query, body) = (String::from_utf8_lossy(&data[..end]), data.get(end + 1..).unwrap_or_default());
+    server::fuzzing::export_order(&query, body);
     LEAST + 64 * data.len()
 }
 

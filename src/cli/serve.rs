@@ -63,8 +63,7 @@ pub(super) struct ServeArgs {
     #[arg(
         long,
         value_name = "URL",
-        help = "Object store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX, with the usual variables AWS_…, \
-                GOOGLE_… or AZURE_…. Default: a folder in DIR"
+        help = "Object store that several nodes share, s3://BUCKET/PREFIX, with the usual variables AWS_…. Default: a folder in DIR"
     )]
     blobs: Option<String>,
     /// What this node does

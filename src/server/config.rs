@@ -34,7 +34,7 @@ pub struct Config {
     pub data: PathBuf,
     /// Database that several nodes share, `postgres://…`; by default SQLite in the data directory.
     pub database: Option<String>,
-    /// Object store that several nodes share, `s3://…`, `gs://…` or `az://…`; by default a folder in the data directory.
+    /// Object store that several nodes share, `s3://…`; by default a folder in the data directory.
     pub blobs: Option<String>,
     /// Directory that replaces the embedded pages.
     pub pages: Option<PathBuf>,

@@ -7,11 +7,13 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 use super::Limits;
 use super::access::{link_of_url, query_of, take_link};
 use super::conditional::{RequestedRange, requested_range};
+use super::exports::Recipe;
 use super::hosts::origin;
 use super::multipart_header_limit::LimitedHeaders;
 use super::photo_options;
 use super::proxies::{Network, Proxies, X_FORWARDED_FOR};
-use super::routes::ViewQuery;
+use super::request_body::json_parameters;
+use super::routes::{ViewQuery, decode};
 use super::viewer_settings::Settings;
 use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
 
@@ -42,6 +44,31 @@ pub fn view(query: &str) {
     assert!([p.tx, p.ty, p.tz, p.yaw, p.pitch, p.roll].iter().all(|v| v.is_finite()));
     assert!(camera.intrinsics.is_valid());
     let _ = (query.rig(&scene), query.canonical());
+}
+
+/// Reads an order of a file or film of a photo of 60 × 40 pixels: its query, and its body in JSON if it has one.
+pub fn export_order(query: &str, body: &[u8]) {
+    let Ok(uri) = format!("/v1/photos/x/exports?{query}").parse() else { return };
+    let limits = Limits::default();
+    let read = || {
+        let mut pairs = decode(&uri)?;
+        if !body.is_empty() {
+            pairs.extend(json_parameters(body)?);
+        }
+        Recipe::read(pairs, (60, 40), &limits)
+    };
+    match read() {
+        Ok(recipe) => {
+            let text = recipe.text();
+            assert!(Recipe::kind(&text).is_some(), "{text} has no format");
+            // the job reads what the order wrote
+            assert!(Recipe::parse(&text, &limits).is_ok_and(|again| again.text() == text), "{text} is read as another order");
+            if let Recipe::Film(_, (width, height)) = recipe {
+                assert!(width > 0 && height > 0);
+            }
+        }
+        Err(problem) => assert!(problem.status == 400 && !problem.detail.is_empty()),
+    }
 }
 
 /// Reads a header `Range` for `length` bytes.

@@ -212,6 +212,21 @@ fn one_failed_photo_does_not_stop_the_rest() {
     has(&all[0], &["photo", "output", "report.tiles"]);
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_photo_of_a_folder_that_cannot_be_read_is_named_and_the_others_are_made() {
+    let f = Folder::new();
+    std::fs::create_dir(f.path("in")).unwrap();
+    for (from, name) in [("box.png", "a.png"), ("depth.png", "a_depth.png"), ("box.png", "c.png"), ("depth.png", "c_depth.png")] {
+        std::fs::copy(f.path(from), f.path("in").join(name)).unwrap();
+    }
+    // a file whose first byte cannot be read, by root either
+    std::os::unix::fs::symlink("/proc/self/mem", f.path("in/b.jpg")).unwrap();
+    f.run(&["make", "in", "-o", "out", "-q"]).fails(1, &["in/b.jpg", "1 of 3"]);
+    let made = ["a", "b", "c"].map(|name| f.path(&format!("out/{name}.tmpi")).is_file());
+    assert_eq!(made, [true, false, true]);
+}
+
 #[test]
 fn existing_outputs_are_not_overwritten_without_force() {
     let f = Folder::new();

@@ -1,5 +1,6 @@
 //! Damage on disk: a read or the regular integrity check notices it, the state reports it, the same upload repairs it.
 
+use std::io::Read as _;
 use std::path::PathBuf;
 
 use tmpi::server::Caches;
@@ -109,6 +110,23 @@ fn a_folder_that_is_away_damages_no_photo() {
         std::fs::rename(&away, &blobs).unwrap();
         assert_eq!(get(made.server.addr, &path).body, made.whole);
     }
+}
+
+#[test]
+fn a_body_that_is_cut_off_midway_is_an_error_for_its_client() {
+    let made = made(Limits::default(), noise());
+    let path = format!("/v1/photos/{}/atlas", made.id);
+    assert_eq!(get(made.server.addr, &path).body, made.whole);
+    // the server keeps the file open
+    let half = made.whole.len() / 2;
+    std::fs::File::options().write(true).open(made.file("container")).unwrap().set_len(half as u64).unwrap();
+    let mut client = Connection::open(made.server.addr);
+    client.send("GET", &path, &[], &[]);
+    let head = client.head().unwrap();
+    assert_eq!((head.status, head.header("content-length")), (200, Some(made.whole.len().to_string().as_str())));
+    let (mut rest, patience) = (Vec::new(), Instant::now());
+    let ended = client.raw().read_to_end(&mut rest);
+    assert!(rest.len() <= half && patience.elapsed() < Duration::from_mins(1), "{} bytes: {ended:?}", rest.len());
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Fairness: requests delay only requests of their own kind, and waiting requests hold no memory.
 
 use std::io::Read as _;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize};
 
 use tmpi::server::Caches;
 
@@ -182,7 +182,7 @@ fn memory_bounds_the_number_of_parallel_jobs() {
     let server = Running::with(limits, gate.clone());
     let ids: Vec<String> = (0..4).map(|seed| server.upload(&jpeg(seed))).collect();
     gate.wait_started(2);
-    std::thread::sleep(Duration::from_millis(200));
+    serves_others(server.addr);
     assert_eq!(gate.started.load(Ordering::SeqCst), 2, "there is memory for two");
     assert_eq!(server.metric("tmpi_job_memory_bytes"), 2 * one);
     gate.open(1);
@@ -193,17 +193,18 @@ fn memory_bounds_the_number_of_parallel_jobs() {
     }
 }
 
-/// Checks photos slowly, and counts parallel checks.
+/// Counts checks, which last until the test opens them.
 #[derive(Default)]
 struct Checks {
     now: AtomicUsize,
     most: AtomicUsize,
+    open: AtomicBool,
 }
 
 impl Maker for Checks {
     fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
         self.most.fetch_max(self.now.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
-        std::thread::sleep(Duration::from_millis(50));
+        wait_until("the test opens it", || self.open.load(Ordering::SeqCst));
         self.now.fetch_sub(1, Ordering::SeqCst);
         Ok(())
     }
@@ -222,6 +223,9 @@ fn parallel_checks_of_uploads_are_bounded() {
             let server = &server;
             scope.spawn(move || server.upload(&jpeg(seed)));
         }
+        wait_until("three are checked", || checks.now.load(Ordering::SeqCst) >= 3);
+        serves_others(server.addr);
+        checks.open.store(true, Ordering::SeqCst);
     });
     assert_eq!(checks.most.load(Ordering::SeqCst), 3);
 }

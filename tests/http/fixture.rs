@@ -277,6 +277,14 @@ pub fn wait_until(what: &str, mut true_now: impl FnMut() -> bool) {
     }
 }
 
+/// Waits until the server has answered many other requests: whatever else it could do by itself, it has done by then.
+pub fn serves_others(addr: SocketAddr) {
+    let mut client = client::Connection::open(addr);
+    for _ in 0..100 {
+        assert_eq!(client.request("GET", "/healthz", &[], &[]).status, 200);
+    }
+}
+
 /// A small picture, different for each seed.
 pub fn picture(seed: u8, format: PictureFormat) -> Vec<u8> {
     let (width, height) = (80, 60);

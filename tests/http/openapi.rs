@@ -15,9 +15,10 @@ fn every_route_of_the_document_answers_as_it_says() {
     let photo = server.make(&jpeg(1));
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
-    // a group of pictures is complete after a second
-    std::thread::sleep(Duration::from_millis(1100));
-    publisher.publish(frame(20));
+    wait_until("a group of pictures is complete", || {
+        publisher.publish(frame(20));
+        get(server.addr, "/v1/live/attic/gops/latest").header("location").is_some_and(|l| !l.ends_with("-0"))
+    });
     wait_until("a frame is done", || get(server.addr, "/v1/live/attic/frames/latest/atlas").status == 200);
     let newest = get(server.addr, "/v1/live/attic/gops/latest");
     let first = format!("{}-0", newest.header("location").unwrap().split('-').next().unwrap());

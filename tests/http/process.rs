@@ -217,8 +217,6 @@ fn processes_that_make_photos_get_no_credentials() {
     let dir = tempfile::tempdir().unwrap();
     let environment = [
         ("AWS_SECRET_ACCESS_KEY", "a-secret"),
-        ("AZURE_STORAGE_ACCOUNT_KEY", "a-secret"),
-        ("GOOGLE_SERVICE_ACCOUNT_KEY", "a-secret"),
         ("OTEL_EXPORTER_OTLP_HEADERS", "authorization=a-secret"),
         ("TMPI_SERVE_LIMITS_JOB_MEMORY", "5000"),
         ("TMPI_MODELS", "/nowhere"),

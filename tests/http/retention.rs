@@ -1,12 +1,27 @@
 //! Quotas and retention.
 
-use tmpi::server::{Quotas, Retention};
+use tmpi::server::{Exports, Quotas, Retention};
 
 use crate::prelude::*;
 
 /// Bytes of all blobs of a photo; of all photos if `id` is empty.
 fn size(data: &std::path::Path, id: &str) -> u64 {
     contents(data, id, "").iter().map(|file| std::fs::metadata(file).unwrap().len()).sum()
+}
+
+/// These rules, applied often; files that nobody fetches are deleted at once.
+fn often(retention: Retention) -> Limits {
+    let often = Duration::from_millis(50);
+    Limits { retention, retain_sweep: often, exports: Exports { keep: often, ..Exports::default() }, ..Limits::default() }
+}
+
+/// Waits until the rules were applied once more. A sweep deletes files last, so a whole one lies between two deletions.
+fn wait_for_a_sweep(server: &Running, photo: &str) {
+    for _ in 0..2 {
+        let ordered = request(server.addr, "POST", &format!("/v1/photos/{photo}/exports?format=glb"), &[], &[]);
+        let location = ordered.header("location").unwrap();
+        wait_until("the file is deleted", || get(server.addr, location).status == 404);
+    }
 }
 
 #[test]
@@ -55,14 +70,13 @@ fn the_quota_of_bytes_holds_after_a_restart() {
 
 #[test]
 fn photos_expire_by_age_and_the_state_says_when() {
-    let limits =
-        |age: Duration| Limits { retention: Retention { age, bytes: 0 }, retain_sweep: Duration::from_millis(200), ..Limits::default() };
+    let limits = |age: Duration| often(Retention { age, bytes: 0 });
     let server = Running::with(limits(Duration::from_hours(24)), Arc::new(pipeline()));
     let id = server.upload(&jpeg(1));
     let state = server.wait(&id, "done");
     let (created, expires) = (state["created"].as_str().unwrap(), state["expires"].as_str().unwrap());
     assert!(expires > created && expires[10..] == created[10..], "{created} {expires}");
-    std::thread::sleep(Duration::from_millis(600));
+    wait_for_a_sweep(&server, &id);
     assert_eq!(server.state(&id)["state"], "done", "not before");
     let server = server.again(limits(Duration::from_millis(1)), Arc::new(pipeline()));
     wait_until("it is gone", || get(server.addr, &format!("/v1/photos/{id}")).status == 404);
@@ -75,11 +89,7 @@ fn photos_expire_by_age_and_the_state_says_when() {
 
 #[test]
 fn the_least_recently_viewed_photos_make_room_for_others() {
-    let limits = |room| Limits {
-        retention: Retention { age: Duration::ZERO, bytes: room },
-        retain_sweep: Duration::from_millis(200),
-        ..Limits::default()
-    };
+    let limits = |room| often(Retention { age: Duration::ZERO, bytes: room });
     let mut server = Running::with(limits(u64::MAX), Arc::new(pipeline()));
     let ids: Vec<String> = (1..4).map(|seed| server.make(&jpeg(seed))).collect();
     let sizes: Vec<u64> = ids.iter().map(|id| size(server.data(), id)).collect();
@@ -93,6 +103,6 @@ fn the_least_recently_viewed_photos_make_room_for_others() {
     wait_until("one is gone", || server.listed().len() == 2);
     let there = server.listed();
     assert!(there.contains(&ids[0]) && !there.contains(&ids[1]), "{ids:?}: {there:?}");
-    std::thread::sleep(Duration::from_millis(600));
+    wait_for_a_sweep(&server, &ids[0]);
     assert_eq!(server.listed().len(), 2, "no more than necessary");
 }

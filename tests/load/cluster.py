@@ -3,7 +3,7 @@
 store, full disks, clocks that jump, and network partitions. Partitions and full disks need root, clocks need libfaketime."""
 import argparse, os, queue, random, shutil, subprocess, tempfile, threading, time
 from pathlib import Path
-from common import Server, Table, check, depth_map, finish, small
+from common import Server, Table, check, depth_map, finish, skip, small
 from services import Clock, Location, Network, Postgres, Proxy, s3_server
 
 # seconds
@@ -185,7 +185,11 @@ def main():
     ]
     if Clock.LIBRARY:
         rounds.append(("clocks of two nodes jump", clock_jump(rng), {"clock": True}))
-    if root:
+    else:
+        skip("clocks that jump", "libfaketime is not installed")
+    if not root:
+        skip("partitions and full disks", "network namespaces and mounts need root")
+    else:
         apart = {"apart": True}
         rounds += [
             ("a worker disconnected", partition(lambda nodes: [rng.choice(nodes.network.locations[1:])], 2 * LEASE), apart),

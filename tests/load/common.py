@@ -213,6 +213,14 @@ def check(ok, what):
     return ok
 
 
+def skip(what, reason):
+    """Prints that a part is left out, and appends it to the list of skipped tests that TMPI_SKIPPED names."""
+    print(f"{what}: skipped: {reason}", flush=True)
+    if os.environ.get("TMPI_SKIPPED"):
+        with open(os.environ["TMPI_SKIPPED"], "a") as skipped:
+            skipped.write(f"other\ttests/load/{Path(sys.argv[0]).name}: {what}\t{reason}\n")
+
+
 def finish():
     """Exits with status 1 if a check failed."""
     print(f"\n{len(failures)} checks failed" if failures else "\nall checks passed")

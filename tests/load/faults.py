@@ -2,14 +2,13 @@
 """Faults of the machine: a full disk, a missing ONNX Runtime library. The server loses no photo and recovers by itself."""
 import argparse, json, os, shutil, subprocess, tempfile, time
 from pathlib import Path
-from common import ROOT, Server, Table, check, depth_map, finish, small
+from common import ROOT, Server, Table, check, depth_map, finish, skip, small
 
 
 def full_disk(table, uploads):
     folder = tempfile.mkdtemp(prefix="tmpi-load-")
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", folder], capture_output=True).returncode:
-        table.row("full disk", "skipped: mounting a small disk needs root", "")
-        return
+        return skip("full disk", "mounting a small disk needs root")
     server = None
     try:
         server = Server("--set", "limits.queue=200", data=folder)
@@ -57,8 +56,7 @@ def missing_library(table):
     candidates = [Path(os.environ.get("ORT_DYLIB_PATH", "")), ROOT / ".tmpi/onnxruntime/libonnxruntime.so"]
     found = next((path for path in candidates if path.is_file()), None)
     if not found:
-        table.row("missing library", "skipped: ONNX Runtime is not installed (cargo xtask fetch)", "")
-        return
+        return skip("missing library", "ONNX Runtime is not installed")
     folder = tempfile.mkdtemp(prefix="tmpi-load-")
     link = Path(folder, "libonnxruntime.so")
     server = Server(env={"ORT_DYLIB_PATH": str(link)})

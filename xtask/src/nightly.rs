@@ -4,11 +4,13 @@ use std::fs;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use serde_json::Value;
+
 use crate::command::{Fault, Profile, built, cargo, data, output, root, run, say, target, within_minutes};
 use crate::steps::{self, AfterFailure, Step};
 use crate::{fuzz, python, runtime, rust_tests, skipped, tools};
 
-const STEPS: [Step; 18] = [
+const STEPS: [Step; 20] = [
     Step { name: "tools", run: tools::fetch },
     Step { name: "ONNX Runtime", run: runtime::fetch },
     Step { name: "build", run: rust_tests::build },
@@ -25,6 +27,8 @@ const STEPS: [Step; 18] = [
     Step { name: "live", run: || load("live.py") },
     Step { name: "extreme options", run: || load("extreme_options.py") },
     Step { name: "making memory", run: || load("making_memory.py") },
+    Step { name: "cgroup", run: || load("cgroup.py") },
+    Step { name: "bench", run: bench },
     Step { name: "mutants", run: mutants },
     Step { name: "fuzz", run: || fuzz::fuzz_all(minutes()) },
 ];
@@ -65,6 +69,48 @@ fn load(script: &str) -> Result<(), Fault> {
     run(command)
 }
 
+/// Runs every experiment of `tmpi-lab bench` on few scenes, and checks that its results are whole.
+fn bench() -> Result<(), Fault> {
+    let (lab, folder) = (built(Profile::Checks, "tmpi-lab"), target().join("bench"));
+    let lab = lab.to_string_lossy();
+    let mut command = within_minutes(minutes(), &lab);
+    command.args(["bench", "--quick", "--output"]).arg(&folder);
+    runtime::set_env(&mut command);
+    run(command)?;
+    let file = folder.join("results.json");
+    let text = fs::read_to_string(&file).map_err(|e| Fault::at(&file, &e))?;
+    let results: Value = serde_json::from_str(&text).map_err(|e| Fault::new(format!("{}: {e}", file.display())))?;
+    for reason in results["skipped"].as_array().into_iter().flatten().filter_map(Value::as_str) {
+        skipped::add("network", "tmpi-lab bench", reason)?;
+    }
+    let help = output(&lab, &["bench", "--help"]).unwrap_or_default();
+    let only = help.split_once("--only").and_then(|(_, rest)| rest.split_once("[possible values: "));
+    let names = only.and_then(|(_, rest)| rest.split_once(']')).map_or("", |(names, _)| names);
+    // `photos` needs a folder of photos
+    let wrong: Vec<&str> = names.split(", ").filter(|name| *name != "photos" && !is_whole(&results, name)).collect();
+    if wrong.is_empty() {
+        Ok(())
+    } else {
+        Err(Fault::new(format!("no results, no default, or figures that are not finite: {}", wrong.join(", "))))
+    }
+}
+
+/// Experiments that compare what no option chooses.
+const WITHOUT_DEFAULT: [&str; 3] = ["scaling", "ramps", "discretisation"];
+
+/// Whether the results of a benchmark have an experiment, or skipped some, its default is marked, and its figures are finite.
+fn is_whole(results: &Value, name: &str) -> bool {
+    let list = |of: &Value| of.as_array().cloned().unwrap_or_default();
+    let Some(experiment) = list(&results["experiments"]).into_iter().find(|e| e["id"] == name) else {
+        return !list(&results["skipped"]).is_empty();
+    };
+    let points: Vec<Value> = list(&experiment["curves"]).iter().flat_map(|curve| list(&curve["points"])).collect();
+    // JSON has null for a number that is not finite
+    let is_finite = |p: &Value| p["x"].is_number() && p["y"].is_number() && list(&p["figures"]).iter().all(|figure| figure[1].is_number());
+    let has_default = WITHOUT_DEFAULT.contains(&name) || points.iter().any(|p| p["default"] == true);
+    has_default && !points.is_empty() && points.iter().all(is_finite)
+}
+
 /// Mutates the core and checks that a test catches each mutant, until the time is up. Each day tests other mutants.
 fn mutants() -> Result<(), Fault> {
     if output("cargo", &["mutants", "--version"]).is_none() {
@@ -88,5 +134,23 @@ fn mutants() -> Result<(), Fault> {
         Ok(())
     } else {
         result.and_then(|()| Err(Fault::new(format!("no test catches\n{missed}"))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn results_lack_nothing_but_what_was_skipped() {
+        let of = |y: f64, default: bool, skipped: &[&str]| {
+            let point = json!({ "x": 1.0, "y": y, "default": default, "figures": [["ms", 2.0]] });
+            json!({ "experiments": [{ "id": "planes", "curves": [{ "points": [point] }] }], "skipped": skipped })
+        };
+        assert!(is_whole(&of(3.0, true, &[]), "planes") && is_whole(&of(3.0, true, &["no network"]), "depth"));
+        assert!(!is_whole(&of(3.0, true, &[]), "depth"));
+        assert!(!is_whole(&of(f64::NAN, true, &[]), "planes") && !is_whole(&of(3.0, false, &[]), "planes"));
     }
 }

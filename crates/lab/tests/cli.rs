@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use image::{Luma, Rgb, RgbImage};
+use serde_json::Value;
 use tmpi_testing::Need;
 use tmpi_testing::program::{Folder, box_before_a_wall};
 
@@ -63,6 +64,48 @@ fn check_measures_view_box_corners_on_photos() {
     let checked = f.run(&["check", "--photos", "photos", "--json"]).succeeds().json();
     let cases = checked["cases"].as_array().unwrap();
     assert_eq!((cases.len(), cases[0]["name"].as_str()), (4, Some("half-way to them, box.png")));
+}
+
+#[test]
+fn bench_measures_and_draws_each_setting() {
+    let f = folder();
+    f.run(&["bench", "--quick", "--only", "levels", "-o", "measured"]).succeeds();
+    let read = |name: &str| std::fs::read_to_string(f.path("measured").join(name)).unwrap();
+    let results: Value = serde_json::from_str(&read("results.json")).unwrap();
+    let [experiment] = results["experiments"].as_array().unwrap().as_slice() else { panic!("{results}") };
+    let points = experiment["curves"][0]["points"].as_array().unwrap();
+    let of = |name: &str| points.iter().map(|point| point[name].clone()).collect::<Vec<_>>();
+    assert_eq!(experiment["id"], "levels");
+    assert_eq!(of("setting"), ["level 0", "level 1", "level 2", "level 3"]);
+    assert_eq!(of("default"), [true, false, false, false]);
+    // a figure that is not finite would be null
+    let figures = points.iter().flat_map(|point| point["figures"].as_array().unwrap());
+    assert!(points.iter().all(|point| point["figures"].as_array().is_some_and(|all| all.len() > 10)));
+    assert!(figures.map(|figure| &figure[1]).chain(&of("x")).chain(&of("y")).all(Value::is_number), "{experiment}");
+    // smaller levels have fewer bytes, and views that are less like the true ones
+    let falls = |axis: &str| of(axis).windows(2).all(|pair| pair[0].as_f64() > pair[1].as_f64());
+    assert!(falls("x") && falls("y"), "{experiment}");
+    let page = read("index.html");
+    assert!(page.contains("id=\"levels\"") && page.matches("<svg").count() == 1 && page.trim_end().ends_with("</html>"));
+    assert!(points.iter().all(|point| page.contains(&format!("<td>{}", point["setting"].as_str().unwrap()))), "all are in its table");
+    assert_eq!(page.matches("<tr class=\"default\">").count(), 1);
+}
+
+#[test]
+fn live_bench_measures_and_draws_each_point() {
+    let f = folder();
+    let short = ["live-bench", "--only", "measured", "--frames", "4", "--views", "2", "--size", "96x64"];
+    let run = f.run(&[&short[..], &["--budget-ms", "0,50", "--json", "--page", "room.html"]].concat()).succeeds().json();
+    let points = run["points"].as_array().unwrap();
+    assert_eq!(points.iter().map(|point| point["budget_ms"].as_f64()).collect::<Vec<_>>(), [Some(0.0), Some(50.0)]);
+    for point in points {
+        let figures = point["figures"].as_object().unwrap();
+        assert!(figures.len() > 20 && figures.values().all(Value::is_number), "{point}");
+        // far from the truth if the stream or the view were broken
+        assert!(figures["side view, dB"].as_f64().unwrap() > 15.0 && figures["video, bytes"].as_f64().unwrap() > 0.0, "{point}");
+    }
+    let page = std::fs::read_to_string(f.path("room.html")).unwrap();
+    assert!(page.matches("<svg").count() == 2 && page.contains("--size 96x64") && page.trim_end().ends_with("</html>"));
 }
 
 #[test]

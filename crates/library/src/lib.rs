@@ -129,7 +129,7 @@ pub struct Config {
     pub data: PathBuf,
     /// `postgres://…`; default: SQLite in `data`.
     pub database: Option<String>,
-    /// `s3://…`, `gs://…` or `az://…`; default: a folder in `data`.
+    /// `s3://…`; default: a folder in `data`.
     pub blobs: Option<String>,
     /// The limits.
     pub limits: Limits,

@@ -1,10 +1,10 @@
-//! Regions of a container look as the whole does.
+//! Regions and smaller levels of a container look as the whole does.
 #![allow(clippy::unwrap_used, reason = "test")]
 
 use std::sync::Arc;
 
 use tmpi_core::container::fixtures::{bare_in, discs};
-use tmpi_core::container::{RegionPhoto, TileRect, decode, region};
+use tmpi_core::container::{RegionPhoto, TileRect, decode, level, region};
 use tmpi_core::{Camera, Pose, Rect, Scene};
 use tmpi_render::difference::psnr;
 use tmpi_render::{Backend, select};
@@ -38,4 +38,16 @@ fn away_from_its_border_a_region_looks_as_the_whole() {
         let psnr = psnr(all.as_flattened(), part.as_flattened());
         assert!(psnr > 38.0, "({x}, {y}, {z}): {psnr} dB");
     }
+}
+
+#[test]
+fn a_smaller_level_looks_as_the_whole_at_its_size() {
+    let file = bare_in(None, &discs(302, 200));
+    let [whole, small] = [decode(&file), decode(&level(&file, 1).unwrap())].map(|scene| Arc::new(scene.unwrap()));
+    let off = |(a, b): (&[u8; 4], &[u8; 4])| a.iter().zip(b).any(|(a, b)| a.abs_diff(*b) > 24);
+    let percent_off = |[a, b]: [&[[u8; 4]]; 2]| 100 * a.iter().zip(b).filter(|pixels| off(*pixels)).count() / a.len();
+    let [all, seen] = views(&whole, &small, Pose::at(0.03, -0.02, 0.0));
+    let [_, still] = views(&whole, &small, Pose::default());
+    let (between, without) = (percent_off([&all, &seen]), percent_off([&all, &still]));
+    assert!(between < 3 && without > 9, "{between} % are off, {without} % of a view that does not move");
 }

@@ -52,8 +52,6 @@ pub enum Need {
     Ffmpeg,
     /// `s3`: moto, an S3 server in Python.
     S3,
-    /// `azure`: azurite, an Azure server in JavaScript.
-    Azure,
     /// `postgres`: the programs `initdb`, `postgres` and `createdb`.
     Postgres,
     /// `data`: the folder that `TMPI_DATA` names.
@@ -61,7 +59,7 @@ pub enum Need {
 }
 
 impl Need {
-    const ALL: [Self; 7] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::S3, Self::Azure, Self::Postgres, Self::Data];
+    const ALL: [Self; 6] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::S3, Self::Postgres, Self::Data];
 
     const fn name(self) -> &'static str {
         match self {
@@ -69,7 +67,6 @@ impl Need {
             Self::Onnx => "onnx",
             Self::Ffmpeg => "ffmpeg",
             Self::S3 => "s3",
-            Self::Azure => "azure",
             Self::Postgres => "postgres",
             Self::Data => "data",
         }
@@ -184,7 +181,7 @@ mod tests {
     #[test]
     fn an_unknown_word_fails_though_everything_is_there() {
         let error = Need::Onnx.judged("gpu,onxx", Ok::<_, &str>(7)).unwrap_err();
-        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, s3, azure, postgres, data"), "{error}");
+        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, s3, postgres, data"), "{error}");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Engines that tests start and stop: an S3 server (moto) and an Azure one (azurite). Tests whose engine is not installed are skipped.
+//! An S3 server (moto) that tests start and stop. Tests are skipped if it is not installed.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -6,12 +6,6 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use crate::Need;
-
-/// The account that every such emulator has, which is no secret.
-pub const AZURE_ACCOUNT: &str = "devstoreaccount1";
-/// Leave to do anything to its blobs until 2099, signed with its key, which is no secret either.
-const AZURE_LEAVE: &str =
-    "sv=2019-12-12&ss=b&srt=sco&sp=rwdlac&se=2099-01-01T00%3A00%3A00Z&spr=https,http&sig=0inStVod1SiNNw%2FCJ4fRrpJIdRZAadbisT7bZCD4KQs%3D";
 
 /// A process on a free port, which ends when this is dropped.
 #[derive(Debug)]
@@ -78,20 +72,6 @@ impl Engine {
             ("AWS_SECRET_ACCESS_KEY", "test".into()),
             ("AWS_REGION", "us-east-1".into()),
         ]
-    }
-
-    /// An in-memory Azure server with an empty container `photos`; `None` without azurite.
-    ///
-    /// # Panics
-    /// It does not start.
-    pub fn azure() -> Option<Self> {
-        let there = is_there("azurite-blob", &["--version"]).then_some(());
-        Need::Azure.or_skip(there.ok_or("npm install azurite, and its azurite-blob in the PATH"))?;
-        let mut command = Command::new("azurite-blob");
-        command.args(["--inMemoryPersistence", "--skipApiVersionCheck", "--blobHost", "127.0.0.1", "--blobPort", "0"]);
-        let engine = Self::start(command);
-        engine.put(&format!("/{AZURE_ACCOUNT}/photos?restype=container&{AZURE_LEAVE}"), "HTTP/1.1 201");
-        Some(engine)
     }
 
     /// Sends a request without a body, whose answer must start as `wanted`.

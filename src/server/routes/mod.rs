@@ -42,7 +42,7 @@ use super::limits::Limits;
 use super::middleware;
 pub(super) use admin_listener::router as admin_router;
 pub(super) use photo_state::Progress as Stage;
-pub(crate) use query::{EmptyBody, Pairs};
+pub(crate) use query::{EmptyBody, Pairs, decode};
 pub(super) use rendered_view_query::ViewQuery;
 
 use super::pages::{self, Frames};

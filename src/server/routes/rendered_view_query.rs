@@ -279,11 +279,12 @@ fn part(k: &Intrinsics, photo: (u32, u32), crop: &Crop, size: (u32, u32)) -> Int
     Intrinsics { fx: k.fx * scale, fy: k.fy * scale, cx: centre(k.cx, 0, photo.0, size.0), cy: centre(k.cy, 1, photo.1, size.1) }
 }
 
-/// `v` rounded to multiples of `step`; unchanged if it is too large for that.
+/// `v` rounded to multiples of `step`; unchanged if it is so large that rounding the result again could change it.
 fn rounded(v: f64, step: f64) -> f64 {
     // by the reciprocal, so that decimal steps stay short
     let steps = (1.0 / step).round();
-    Some((v * steps).round() / steps).filter(|r| r.is_finite()).unwrap_or(v)
+    let whole = (v * steps).round();
+    if whole.abs() < (1_u64 << 50) as f64 { whole / steps } else { v }
 }
 
 #[cfg(test)]

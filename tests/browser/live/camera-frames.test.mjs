@@ -2,6 +2,7 @@
 import assert from 'node:assert/strict';
 import { afterEach, describe, test } from 'node:test';
 import { eachFrame } from '../../../static/live/camera-frames.js';
+import { until } from '../support/until.mjs';
 
 describe('camera frames', () => {
   afterEach(() => {
@@ -25,7 +26,10 @@ describe('camera frames', () => {
       taken.push(frame.number);
     };
     const stop = eachFrame(null, null, take, (error) => failed.push(error.message));
-    for (let i = 0; i < 20 && taken.length < 2; i++) await new Promise((resume) => setTimeout(resume, 5));
+    await until(
+      () => taken.length === 2,
+      () => ({ taken, failed, closed }),
+    );
     assert.deepEqual([taken, failed, closed], [[0, 2], ['an encoder that is closed'], [1]]);
     stop();
   });

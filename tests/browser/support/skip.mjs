@@ -4,7 +4,7 @@ import { appendFileSync } from 'node:fs';
 /**
  * Skips the test, or fails if TMPI_REQUIRE lists `need`. Appends need, test and reason, separated by tabs, to the file in TMPI_SKIPPED.
  * @param {import('node:test').TestContext} t
- * @param {'gpu' | 'onnx' | 'ffmpeg' | 'data' | 'chromium' | 'other'} need what is missing
+ * @param {'ffmpeg' | 'data'} need what is missing
  * @param {string} reason
  */
 export function skip(t, need, reason) {

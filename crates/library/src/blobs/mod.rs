@@ -130,8 +130,7 @@ impl BlobStore {
         Self(Backend::Objects(Objects::s3_at(addr)))
     }
 
-    /// A bucket and a prefix: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX` or `az://CONTAINER/PREFIX`. Endpoint, region and credentials come
-    /// from the usual environment variables.
+    /// A bucket and a prefix, `s3://BUCKET/PREFIX`. Endpoint, region and credentials come from the usual environment variables.
     pub(crate) fn objects(url: &str) -> Result<Self> {
         Objects::open(url).map(|objects| Self(Backend::Objects(objects)))
     }

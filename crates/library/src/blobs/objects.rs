@@ -1,4 +1,4 @@
-//! Blobs in an object store: S3 and compatible stores, Google Cloud Storage, Azure.
+//! Blobs in an object store: S3 and compatible stores.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -7,8 +7,6 @@ use std::time::Duration;
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
 use object_store::aws::AmazonS3Builder;
-use object_store::azure::MicrosoftAzureBuilder;
-use object_store::gcp::GoogleCloudStorageBuilder;
 use object_store::path::Path;
 use object_store::{BackoffConfig, ClientOptions, Error, ObjectStore, ObjectStoreExt as _, RetryConfig};
 
@@ -28,56 +26,30 @@ pub(super) struct Objects {
     prefix: String,
 }
 
-/// Result of building a store.
-type Built = object_store::Result<Arc<dyn ObjectStore>>;
-
-/// Options of the HTTP client; `plain` allows HTTP without TLS.
-fn client(plain: bool) -> ClientOptions {
-    ClientOptions::new().with_timeout(REQUEST).with_connect_timeout(CONNECT).with_allow_http(plain)
-}
-
-fn retry() -> RetryConfig {
+/// Builds a store; `plain` allows HTTP without TLS.
+fn s3(builder: AmazonS3Builder, plain: bool) -> object_store::Result<Arc<dyn ObjectStore>> {
+    // other dependencies may build rustls with another provider; a second call changes nothing
+    let _ = rustls::crypto::ring::default_provider().install_default();
+    let client = ClientOptions::new().with_timeout(REQUEST).with_connect_timeout(CONNECT).with_allow_http(plain);
     let backoff = BackoffConfig { init_backoff: Duration::from_millis(100), max_backoff: Duration::from_secs(1), base: 2.0 };
-    RetryConfig { backoff, max_retries: 5, retry_timeout: RETRY }
-}
-
-fn s3(builder: AmazonS3Builder, plain: bool) -> Built {
-    Ok(Arc::new(builder.with_client_options(client(plain)).with_retry(retry()).build()?))
+    let retry = RetryConfig { backoff, max_retries: 5, retry_timeout: RETRY };
+    Ok(Arc::new(builder.with_client_options(client).with_retry(retry).build()?))
 }
 
 impl Objects {
     pub fn open(url: &str) -> Result<Self> {
         let invalid = |reason: String| LibraryError::Invalid(format!("the blob store {url}: {reason}"));
-        let unknown = || invalid("must be s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX".into());
-        let (scheme, place) = url.split_once("://").ok_or_else(unknown)?;
+        let place = url.strip_prefix("s3://").ok_or_else(|| invalid("must be s3://BUCKET/PREFIX".into()))?;
         let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
-        let plain = |names: &[&str]| names.iter().find_map(|name| std::env::var(name).ok()).is_some_and(|e| e.starts_with("http:"));
-        let store = || -> Option<Built> {
-            Some(match scheme {
-                "s3" => s3(AmazonS3Builder::from_env().with_bucket_name(bucket), plain(&["AWS_ENDPOINT_URL", "AWS_ENDPOINT"])),
-                "gs" => {
-                    let builder = GoogleCloudStorageBuilder::from_env().with_bucket_name(bucket);
-                    let builder = builder.with_client_options(client(plain(&["GOOGLE_BASE_URL"]))).with_retry(retry());
-                    builder.build().map(|store| Arc::new(store) as _)
-                }
-                "az" => {
-                    let builder = MicrosoftAzureBuilder::from_env().with_container_name(bucket);
-                    let options = client(plain(&["AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"]));
-                    builder.with_client_options(options).with_retry(retry()).build().map(|store| Arc::new(store) as _)
-                }
-                _ => return None,
-            })
-        };
-        // other dependencies may build rustls with another provider; a second call changes nothing
-        let _ = rustls::crypto::ring::default_provider().install_default();
-        let store = store().ok_or_else(unknown)?.map_err(|e| invalid(e.to_string()))?;
+        let endpoint = ["AWS_ENDPOINT_URL", "AWS_ENDPOINT"].into_iter().find_map(|name| std::env::var(name).ok());
+        let plain = endpoint.is_some_and(|endpoint| endpoint.starts_with("http:"));
+        let store = s3(AmazonS3Builder::from_env().with_bucket_name(bucket), plain).map_err(|e| invalid(e.to_string()))?;
         Ok(Self { store, prefix: prefix.trim_matches('/').to_owned() })
     }
 
     /// A test's S3 server with a bucket `photos`.
     #[cfg(test)]
     pub fn s3_at(addr: std::net::SocketAddr) -> Self {
-        let _ = rustls::crypto::ring::default_provider().install_default();
         let builder = AmazonS3Builder::new().with_bucket_name("photos").with_endpoint(format!("http://{addr}"));
         let builder = builder.with_region("us-east-1").with_access_key_id("test").with_secret_access_key("test");
         Self { store: s3(builder, true).unwrap(), prefix: "library".into() }
@@ -139,9 +111,8 @@ impl Objects {
 #[allow(clippy::needless_pass_by_value, reason = "it is what map_err gives")]
 fn problem(error: Error) -> LibraryError {
     let told = format!("{error:?}");
-    let no_bucket = ["NoSuchBucket", "The specified bucket does not exist", "ContainerNotFound", "ContainerBeingDeleted"];
     match error {
-        Error::NotFound { .. } if !no_bucket.iter().any(|word| told.contains(word)) => LibraryError::NotFound("blob"),
+        Error::NotFound { .. } if !told.contains("NoSuchBucket") => LibraryError::NotFound("blob"),
         _ => LibraryError::Unavailable { service: Service::Blobs, reason: error.to_string() },
     }
 }
@@ -168,7 +139,7 @@ mod tests {
 
     #[test]
     fn other_urls_are_refused_with_what_they_must_be() {
-        for url in ["", "s3:/x", "ftp://x/y", "file:///x"] {
+        for url in ["", "s3:/x", "gs://x/y", "file:///x"] {
             let told = Objects::open(url).unwrap_err().to_string();
             assert!(told.contains("s3://BUCKET/PREFIX"), "{told}");
         }

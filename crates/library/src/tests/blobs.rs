@@ -103,6 +103,8 @@ async fn photos_live_and_die_in_an_object_store() {
     drop(engine);
     let away = library.accept(super::photo(2)).await;
     assert!(matches!(away, Err(LibraryError::Unavailable { service: Service::Blobs, .. })), "{away:?}");
+    let unread = library.blobs().read_range(container, 8..13).await;
+    assert!(matches!(unread, Err(LibraryError::Unavailable { service: Service::Blobs, .. })), "{unread:?}");
 }
 
 async fn a_store_of_another_library_is_refused(bed: Bed) {
