@@ -33,7 +33,7 @@ const LATER: u64 = 1;
 #[derive(utoipa::ToSchema)]
 #[allow(dead_code, reason = "describes the body in the OpenAPI document; parameters are read by hand so that errors name them")]
 pub struct ExportOrder {
-    /// `html` (default), `glb`, `ora` or `zip`; with `path`: `webp` (default) or `mp4`.
+    /// `html` (default), `glb`, `ora`, `rgbd` or `zip`; with `path`: `webp` (default) or `mp4`.
     format: Option<String>,
     /// Space of a `glb`: `relief` or `metric`.
     shape: Option<String>,
