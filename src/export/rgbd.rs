@@ -26,6 +26,7 @@ mod tests {
 
     use super::super::testing;
     use super::*;
+    use tmpi_core::Photo;
     use tmpi_pipeline::depth::DepthError;
     use tmpi_pipeline::photo::Limits;
     use tmpi_pipeline::{Denoise, Models, Options, Silent, Stereo, Switch, make};
@@ -34,13 +35,13 @@ mod tests {
     fn the_picture_is_read_back_as_photo_and_depth() {
         let scene = &testing::sample().1;
         let file = rgbd(scene).unwrap();
-        let models = Models { depth: Arc::new(("none", |_: &_| Err(DepthError::NotEmbedded))), theta: None, psi: None };
+        let models = Models { depth: Arc::new(("none", |_: &Photo| Err(DepthError::NotEmbedded))), theta: None, psi: None };
         let options = Options { stereo: Stereo::Rgbd, denoise: Denoise::Off, snap: Switch::Off, ..Options::default() };
         let made = make(&models, &Limits::default(), &file, None, &options, &Silent).unwrap();
         assert_eq!((made.report.width, made.report.input.depth.unwrap().source.as_str()), (scene.photo.width, "rgbd"));
         let want = visible_disparity(scene).delta;
         let worst = made.disparity.delta.iter().zip(&want).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(worst <= 0.5 / 255.0 + 1e-6, "{worst}");
-        assert!(want.iter().any(|d| *d > 0.8) && want.contains(&0.0));
+        assert!(want.iter().any(|d| *d > 0.8) && want.iter().any(|d| *d < 0.05));
     }
 }

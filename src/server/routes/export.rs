@@ -27,10 +27,10 @@ use crate::server::time_limit::TimeLimit;
     ),
     responses(
         (status = 200, description = "The file", content(
-            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (Vec<u8> = "image/png"), (String = "application/zip")),
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "image/png"), (String = "application/zip")),
             headers(("ETag" = String, description = "Strong entity tag"), ("Content-Disposition" = String, description = "Name of the file"))),
         (status = 206, description = "The range", content(
-            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (Vec<u8> = "image/png"), (String = "application/zip"))),
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "image/png"), (String = "application/zip"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it"),
         (status = 409, description = "Not finished yet"),

@@ -149,7 +149,6 @@ fn area((w, h): (u32, u32)) -> u64 {
 mod tests {
     use super::*;
     use crate::run::TileSize;
-    use crate::stereo::Stereo;
 
     fn with_map(file: (u32, u32), map: (u32, u32)) -> Sizes {
         Sizes { file, extra: Some(ExtraPicture::DepthMap(map)) }
