@@ -72,7 +72,9 @@ pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
     let items: Vec<Item> = if args.force { items } else { items.into_iter().filter(|i| !i.output.exists()).collect() };
     let left = total - items.len();
     let bars = Bars::new(args.quiet);
-    left_out.iter().for_each(|line| bars.note(line));
+    for line in &left_out {
+        bars.note(line);
+    }
     let named = args.output.display();
     anyhow::ensure!(
         left == 0 || folder || args.skip_existing,

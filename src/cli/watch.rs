@@ -40,7 +40,9 @@ pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
     while !stop.load(Ordering::Relaxed) {
         let look = Instant::now();
         let Look { items, notes } = watch.look(folder, &args.output, look);
-        notes.iter().for_each(|line| bars.note(line));
+        for line in &notes {
+            bars.note(line);
+        }
         if items.is_empty() {
             std::thread::park_timeout(POLL.max(look.elapsed() * SHARE));
             continue;
@@ -176,7 +178,9 @@ mod tests {
         fn due(&mut self, later: Duration) -> Vec<String> {
             let name = |path: &Path| path.file_name().unwrap().to_string_lossy().into_owned();
             let items = self.look(later).items;
-            items.iter().for_each(|item| self.watch.made(item));
+            for item in &items {
+                self.watch.made(item);
+            }
             items
                 .iter()
                 .map(|i| i.depth.as_ref().map_or_else(|| name(&i.photo), |map| format!("{} {}", name(&i.photo), name(map))))

@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::fixture::Folder;
 
 /// The longest wait for a line.
-const PATIENCE: Duration = Duration::from_secs(120);
+const PATIENCE: Duration = Duration::from_mins(2);
 
 /// A program that follows the folder `in`.
 struct Follower {

@@ -121,8 +121,8 @@ fn the_right_half_may_be_the_depth_map() {
     let server = Running::open();
     let grey = |x: u32| if x < W / 2 { 51 } else { 204 };
     let photo = seen(W, H, 0, 0).rgba;
-    let map: Vec<u8> = (0..W).flat_map(|x| [grey(x), grey(x), grey(x), 255]).collect();
-    let rgba: Vec<u8> = photo.chunks(4 * W as usize).flat_map(|row| [row, &map].concat()).collect();
+    let map: Vec<_> = (0..W).map(|x| [grey(x), grey(x), grey(x), 255]).collect();
+    let rgba = photo.chunks(W as usize).flat_map(|row| [row, &map].concat()).collect();
     // the map is grey; JPEG carries some colour of the photo into it
     let both = file(&View { width: 2 * W, height: H, rgba }, PictureFormat::Jpeg);
     for (kind, left) in [(&b"disparity"[..], 0.2), (b"inverted", 0.8)] {
