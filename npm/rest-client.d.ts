@@ -247,7 +247,7 @@ export class Tmpi {
   atlas(id: string, query?: AtlasQuery): Promise<TmpiFile>;
   atlas(id: string, query: AtlasQuery | undefined, etag: string | undefined): Promise<TmpiFile | null>;
   view(id: string, query?: ViewQuery): Promise<TmpiFile>;
-  export(id: string, format?: 'html' | 'glb' | 'ora' | 'zip', shape?: 'relief' | 'metric'): Promise<TmpiFile>;
+  export(id: string, format?: 'html' | 'glb' | 'ora' | 'rgbd' | 'zip', shape?: 'relief' | 'metric'): Promise<TmpiFile>;
   thumbnail(id: string): Promise<TmpiFile>;
   /** A 16-bit grey PNG; larger is nearer. */
   depth(id: string): Promise<TmpiFile>;

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
+use super::Usage;
 use super::depth_pairs::pairs;
 use super::files::extension;
-use super::{Usage, note};
 
 /// Extensions of the files in a folder that count as photos.
 const PHOTOS: [&str; 5] = ["jpg", "jpeg", "png", "webp", "mpo"];
@@ -29,11 +29,13 @@ pub(super) struct Item {
 }
 
 /// The photos to make.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Batch {
     pub items: Vec<Item>,
     /// The output is a folder.
     pub folder: bool,
+    /// What is left out of folders and why, a line each.
+    pub left_out: Vec<String>,
 }
 
 impl Batch {
@@ -54,39 +56,69 @@ impl Batch {
                 return Err(Usage(format!("--output {text} must end in .{CONTAINER}: {advice}")).into());
             }
             let item = Item { photo: named.first().cloned().unwrap_or_default(), output: output.to_owned(), depth: None, found: false };
-            return Ok(Self { items: checked(vec![item])?, folder: false });
+            return Ok(Self { items: checked(vec![item])?, ..Self::default() });
         }
-        if output.is_file() {
-            return Err(Usage(format!("--output {text} must be a folder for several photos; it is a file")).into());
-        }
-        if !slash && !output.is_dir() && (ending == CONTAINER || PHOTOS.contains(&ending.as_str())) {
-            return Err(Usage(format!("--output {text} must be a folder for several photos; write {text}/ if that is its name")).into());
-        }
-        let mut items = Vec::new();
+        check_folder(output)?;
+        let mut all = Self { folder: true, ..Self::default() };
         for path in named {
             if path.is_dir() {
-                let mut others = BTreeMap::new();
-                let photos = below(path, &mut others)?;
-                for (ending, n) in &others {
-                    note(&format!("{}: {n} .{ending} left out, only JPEG, PNG and WebP are read", path.display()));
-                }
-                anyhow::ensure!(!photos.is_empty(), "{} holds no JPEG, PNG or WebP photo", path.display());
-                for (photo, depth) in pairs(photos) {
-                    if extension(&photo) == MAP {
-                        note(&format!("{}: left out, there is no photo of its name", photo.display()));
-                        continue;
-                    }
-                    let place = photo.strip_prefix(path).unwrap_or(&photo).with_extension("");
-                    items.push(Item { output: output.join(place).with_added_extension(CONTAINER), photo, depth, found: true });
-                }
+                let Self { items, left_out, .. } = found(path, output)?;
+                anyhow::ensure!(!items.is_empty(), "{} holds no JPEG, PNG, WebP or MPO photo", path.display());
+                all.items.extend(items);
+                all.left_out.extend(left_out);
             } else {
                 let stem = path.file_stem().unwrap_or_default();
                 let output = output.join(stem).with_added_extension(CONTAINER);
-                items.push(Item { photo: path.clone(), output, depth: None, found: false });
+                all.items.push(Item { photo: path.clone(), output, depth: None, found: false });
             }
         }
-        Ok(Self { items: checked(apart(items))?, folder: true })
+        all.items = checked(apart(all.items))?;
+        Ok(all)
     }
+
+    /// Collects the photos of one folder, which may have none.
+    ///
+    /// # Errors
+    /// Those of [`Batch::of`] that are not about the kind of `output`.
+    pub fn of_folder(folder: &Path, output: &Path) -> anyhow::Result<Self> {
+        let all = found(folder, output)?;
+        Ok(Self { items: checked(apart(all.items))?, ..all })
+    }
+}
+
+/// The photos of a folder with the depth maps beside them.
+fn found(folder: &Path, output: &Path) -> anyhow::Result<Batch> {
+    let mut others = BTreeMap::new();
+    let photos = below(folder, &mut others)?;
+    let name = folder.display();
+    let left = |(ending, n): (&String, &usize)| format!("{name}: {n} .{ending} left out, only JPEG, PNG, WebP and MPO are read");
+    let mut all = Batch { left_out: others.iter().map(left).collect(), folder: true, ..Batch::default() };
+    for (photo, depth) in pairs(photos) {
+        if extension(&photo) == MAP {
+            all.left_out.push(format!("{}: left out, there is no photo of its name", photo.display()));
+            continue;
+        }
+        let place = photo.strip_prefix(folder).unwrap_or(&photo).with_extension("");
+        all.items.push(Item { output: output.join(place).with_added_extension(CONTAINER), photo, depth, found: true });
+    }
+    Ok(all)
+}
+
+/// Checks that the output of several photos is a folder, or can become one.
+///
+/// # Errors
+/// [`Usage`] if it is or looks like a file.
+pub(super) fn check_folder(output: &Path) -> Result<(), Usage> {
+    let text = output.display().to_string();
+    let ending = extension(output);
+    if output.is_file() {
+        return Err(Usage(format!("--output {text} must be a folder for several photos; it is a file")));
+    }
+    let slash = text.ends_with(['/', std::path::MAIN_SEPARATOR]);
+    if !slash && !output.is_dir() && (ending == CONTAINER || PHOTOS.contains(&ending.as_str())) {
+        return Err(Usage(format!("--output {text} must be a folder for several photos; write {text}/ if that is its name")));
+    }
+    Ok(())
 }
 
 /// Photos of a folder whose names differ only in their extension keep it: `a.jpg.tmpi`, `a.png.tmpi`.

@@ -13,6 +13,11 @@ fn stem(path: &Path) -> String {
     name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem).to_owned()
 }
 
+/// Whether a file is named as the depth map of some photo.
+pub(super) fn is_named_as_map(file: &Path) -> bool {
+    photo_of(&stem(file)).is_some()
+}
+
 /// The name of the photo to which a depth map of this name would belong.
 fn photo_of(map: &str) -> Option<&str> {
     let before = |end: &&str| map.strip_suffix(*end)?.strip_suffix(SEPARATORS).filter(|photo| !photo.is_empty());

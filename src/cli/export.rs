@@ -11,7 +11,7 @@ use crate::export::{ExportFormat, ExportOptions, ModelOptions, ModelShape, Model
 use tmpi_core::Rect;
 use tmpi_core::container::{self, LEVELS, RegionPhoto, TileRect};
 
-/// Export a container, or a part of it, as a web page, a glTF model, layers for image editors, an archive of its parts or a container
+/// Export a container, or a part of it, as a web page, a glTF model, layers for image editors, photo and depth side by side, an archive of its parts or a container
 #[derive(Clone, Debug, clap::Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct ExportArgs {
@@ -19,8 +19,8 @@ pub(super) struct ExportArgs {
     #[arg(value_name = "IN.tmpi")]
     input: PathBuf,
     /// File to write: a page that opens from disk, a binary glTF model, layers for image editors (.ora: 3 to 8 of the photo's size, and the
-    /// depth map), an archive of photo, tiles and planes, or a container
-    #[arg(short, long, value_name = "OUT.{html,glb,ora,zip,tmpi}")]
+    /// depth map), a picture of the photo and its depth map side by side (RGB-D), an archive of photo, tiles and planes, or a container
+    #[arg(short, long, value_name = "OUT.{html,glb,ora,png,zip,tmpi}")]
     output: PathBuf,
     /// Export only the tiles over this rectangle, in pixels of the photo; re-encodes that part of the photo
     #[arg(long, value_name = "X,Y,W,H")]
@@ -60,12 +60,12 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let extension = files::extension(&args.output);
     let format = ExportFormat::from_extension(&extension);
     if format.is_none() && extension != "tmpi" {
-        return Err(Usage(format!("--output {} must end in .html, .glb, .ora, .zip or .tmpi", args.output.display())).into());
+        return Err(Usage(format!("--output {} must end in .html, .glb, .ora, .png, .zip or .tmpi", args.output.display())).into());
     }
     let (html, glb) = (ExportFormat::Html, ExportFormat::Glb);
     for (flag, is_given, only) in [("--title", args.title.is_some(), html), ("--metric", args.metric, glb), ("--webp", args.webp, glb)] {
         if is_given && format != Some(only) {
-            return Err(Usage(format!("{flag} is only for .{}", only.extension())).into());
+            return Err(Usage(format!("{flag} is only for .{}", only.ending())).into());
         }
     }
     let start = Instant::now();
@@ -82,7 +82,7 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let bytes = written.with_context(context)?.unwrap_or_else(|| container.clone());
     let ms = start.elapsed().as_secs_f64() * 1e3;
     files::write(&args.output, &bytes)?;
-    let format = format.map_or("tmpi", ExportFormat::extension);
+    let format = format.map_or("tmpi", ExportFormat::name);
     let about = json!({ "output": args.output, "format": format, "bytes": bytes.len(), "container_bytes": whole.len(), "ms": ms });
     let times = bytes.len() as f64 / whole.len() as f64;
     let text = format!("{}: {} bytes, {times:.2} × the container, in {ms:.1} ms", args.output.display(), bytes.len());

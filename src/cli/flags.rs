@@ -15,7 +15,7 @@ pub(super) struct DepthFlags {
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub photo_depth: Switch,
     /// Where the picture of a second eye is, by which depth is measured; auto: behind the first in the file (MPO), or as the file's name
-    /// says (name.left-right.jpg, name.top-bottom.jpg)
+    /// says (name.left-right.jpg, name.top-bottom.jpg, name.rgbd.png)
     #[arg(long, value_enum, default_value_t, value_name = "WHERE")]
     pub stereo: Stereo,
     /// How to denoise the depth map

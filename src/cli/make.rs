@@ -1,7 +1,7 @@
 //! `tmpi make`.
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc;
 
 use anyhow::Context;
@@ -10,7 +10,7 @@ use serde_json::json;
 use super::batch::{Batch, Item};
 use super::flags::MakeFlags;
 use super::progress::Bars;
-use super::{Usage, files, is_broken_pipe, reasons};
+use super::{Usage, files, is_broken_pipe, reasons, watch};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
@@ -21,13 +21,16 @@ use tmpi_pipeline::{self, Made, Models, Options, Stereo};
 #[derive(Clone, Debug, clap::Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct MakeArgs {
-    /// JPEG, PNG or WebP files, or folders of them with all folders below; there `photo_depth.png` (or -depth, `_depthmap`, `_disparity`, …; JPEG or WebP,
-    /// too) beside photo.jpg is that photo's depth map
+    /// JPEG, PNG, WebP or MPO files, or folders of them with all folders below; there `photo_depth.png` (or -depth, `_depthmap`, `_disparity`, …; JPEG,
+    /// WebP or PFM, too) beside photo.jpg is that photo's depth map
     #[arg(required = true, value_name = "PHOTO|DIR")]
-    photos: Vec<PathBuf>,
+    pub photos: Vec<PathBuf>,
     /// Container to write; with several photos, or where it is a folder, the folder for them. Missing folders are made
     #[arg(short, long, value_name = "OUT.tmpi|DIR")]
-    output: PathBuf,
+    pub output: PathBuf,
+    /// Follow the folder: make what is there, and then what appears or changes, until Ctrl+C or SIGTERM
+    #[arg(long, conflicts_with_all = ["force", "depth", "second", "strokes", "report"])]
+    watch: bool,
     /// Make again what is there already. Without it a container that is there is left in a folder, and is an error where it alone is named
     #[arg(short, long)]
     force: bool,
@@ -36,7 +39,7 @@ pub(super) struct MakeArgs {
     skip_existing: bool,
     /// Photos that are made side by side; each uses several cores already
     #[arg(short, long, value_parser = clap::value_parser!(u16).range(1..=256), default_value_t = 1, value_name = "N")]
-    jobs: u16,
+    pub jobs: u16,
     /// Depth map of the one photo, a grey PNG of 8 or 16 bits; in place of one that lies beside it
     #[arg(long, value_name = "FILE")]
     depth: Option<PathBuf>,
@@ -51,21 +54,27 @@ pub(super) struct MakeArgs {
     json: bool,
     /// No progress, and nothing on standard output but what --json asks for
     #[arg(short, long)]
-    quiet: bool,
+    pub quiet: bool,
     #[command(flatten)]
     flags: MakeFlags,
     #[command(flatten)]
-    models: ModelFlags,
+    pub models: ModelFlags,
 }
 
 pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
+    if args.watch {
+        return watch::run(args);
+    }
     check_count(args, args.photos.len())?;
-    let Batch { items, folder } = Batch::of(&args.photos, &args.output)?;
+    let Batch { items, folder, left_out } = Batch::of(&args.photos, &args.output)?;
     check_count(args, items.len())?;
     let total = items.len();
     let items: Vec<Item> = if args.force { items } else { items.into_iter().filter(|i| !i.output.exists()).collect() };
     let left = total - items.len();
     let bars = Bars::new(args.quiet);
+    for line in &left_out {
+        bars.note(line);
+    }
     let named = args.output.display();
     anyhow::ensure!(
         left == 0 || folder || args.skip_existing,
@@ -80,19 +89,11 @@ pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
     }
     let depth = args.depth.as_deref().or(args.second.as_deref()).map(files::read).transpose()?;
     let models = models::load(&args.models.settings())?;
-    let work = Work { models: &models, depth: depth.as_deref(), args, bars: &bars, total: items.len() };
+    let work = Work { models: &models, depth: depth.as_deref(), args, bars: &bars, stop: &AtomicBool::new(false) };
     let (mut made, mut failed) = (Vec::new(), 0);
-    let mut telling = true;
-    work.all(&items, args.jobs, |index, result| {
+    work.all(&items, |index, result| {
         match result {
-            Ok(report) => {
-                if telling && let Err(error) = tell(&bars, &items[index], &report, args) {
-                    anyhow::ensure!(is_broken_pipe(&error), error);
-                    // the containers are what was asked for, whether or not somebody reads about them
-                    telling = false;
-                }
-                made.push((index, report));
-            }
+            Ok(report) => made.push((index, report)),
             Err(error) if !folder => return Err(error),
             Err(error) => {
                 failed += 1;
@@ -128,48 +129,56 @@ fn check_count(args: &MakeArgs, photos: usize) -> Result<(), Usage> {
 }
 
 /// What all photos are made with.
-struct Work<'a> {
-    models: &'a Models,
-    depth: Option<&'a [u8]>,
-    args: &'a MakeArgs,
-    bars: &'a Bars,
-    total: usize,
+pub(super) struct Work<'a> {
+    pub models: &'a Models,
+    pub depth: Option<&'a [u8]>,
+    pub args: &'a MakeArgs,
+    pub bars: &'a Bars,
+    /// Once set, no other photo is begun.
+    pub stop: &'a AtomicBool,
 }
 
 impl Work<'_> {
-    /// Makes all photos, `jobs` side by side; `done` is called for each as it ends, here, and ends it all by an error.
-    fn all(
-        &self,
-        items: &[Item],
-        jobs: u16,
-        mut done: impl FnMut(usize, anyhow::Result<Report>) -> anyhow::Result<()>,
-    ) -> anyhow::Result<()> {
+    /// Makes all photos, `--jobs` side by side, and tells of each; `done` is called for each as it ends, here, and ends it all by an error.
+    pub fn all(&self, items: &[Item], mut done: impl FnMut(usize, anyhow::Result<Report>) -> anyhow::Result<()>) -> anyhow::Result<()> {
         let next = AtomicUsize::new(0);
+        let mut telling = true;
         std::thread::scope(|scope| {
             let (send, receive) = mpsc::channel();
-            for _ in 0..usize::from(jobs).min(items.len()) {
+            for _ in 0..usize::from(self.args.jobs).min(items.len()) {
                 let (send, next) = (send.clone(), &next);
                 scope.spawn(move || {
-                    loop {
+                    while !self.stop.load(Ordering::Relaxed) {
                         let index = next.fetch_add(1, Ordering::Relaxed);
                         let Some(item) = items.get(index) else { break };
-                        if send.send((index, self.one(index, item))).is_err() {
+                        let place = if items.len() > 1 { format!("[{}/{}] ", index + 1, items.len()) } else { String::new() };
+                        if send.send((index, self.one(&place, item))).is_err() {
                             break;
                         }
                     }
                 });
             }
             drop(send);
-            receive.into_iter().try_for_each(|(index, result)| done(index, result))
+            receive.into_iter().try_for_each(|(index, result)| {
+                if let Ok(report) = &result
+                    && telling
+                    && let Err(error) = tell(self.bars, &items[index], report, self.args)
+                {
+                    anyhow::ensure!(is_broken_pipe(&error), error);
+                    // the containers are what was asked for, whether or not somebody reads about them
+                    telling = false;
+                }
+                done(index, result)
+            })
         })
     }
 
-    fn one(&self, index: usize, item: &Item) -> anyhow::Result<Report> {
+    fn one(&self, place: &str, item: &Item) -> anyhow::Result<Report> {
         let bytes = files::read(&item.photo)?;
         // a map that was named goes before one that was found
         let found = item.depth.as_deref().filter(|_| self.depth.is_none()).map(files::read).transpose()?;
         let name = item.photo.display().to_string();
-        let bar = self.bars.bar(&if self.total > 1 { format!("[{}/{}] {name}", index + 1, self.total) } else { name.clone() });
+        let bar = self.bars.bar(&format!("{place}{name}"));
         let flags = &self.args.flags;
         let stereo = if self.args.second.is_some() { Ok(Stereo::Beside) } else { flags.depth.stereo_of(&item.photo) };
         let options = Options { stereo: stereo.with_context(|| name.clone())?, ..flags.options() };

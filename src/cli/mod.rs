@@ -26,6 +26,7 @@ mod progress;
 mod render;
 mod serve;
 mod settings;
+mod watch;
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;

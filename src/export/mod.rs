@@ -1,4 +1,4 @@
-//! Exports scenes for use without tmpi: a page that opens from disk, a glTF model, layers for image editors, an archive of the parts.
+//! Exports scenes for use without tmpi: a page that opens from disk, a glTF model, layers for image editors, photo and depth side by side, an archive of the parts.
 
 mod backdrop;
 mod bands;
@@ -7,6 +7,7 @@ mod glb_writer;
 mod html;
 mod mesh;
 mod ora;
+mod rgbd;
 mod script;
 #[cfg(test)]
 mod testing;
@@ -18,6 +19,7 @@ pub use glb::{ModelOptions, ModelShape, ModelTextures, glb};
 pub(crate) use html::escaped;
 pub use html::html;
 pub use ora::{ORA_BYTES, ora};
+pub use rgbd::rgbd;
 pub use zip::zip;
 
 use tmpi_core::Scene;
@@ -35,25 +37,38 @@ pub enum ExportFormat {
     Glb,
     /// `OpenRaster`: a few layers of the photo's size, for image editors.
     Ora,
+    /// PNG of the photo and its depth map side by side (RGB-D), for light-field displays.
+    Rgbd,
     /// ZIP archive of the photo, all layers as PNG, disparity and planes.
     Zip,
 }
 
 impl ExportFormat {
     /// All formats.
-    pub const ALL: [Self; 4] = [Self::Html, Self::Glb, Self::Ora, Self::Zip];
+    pub const ALL: [Self; 5] = [Self::Html, Self::Glb, Self::Ora, Self::Rgbd, Self::Zip];
 
-    /// The format of a file name extension: `html`, `glb`, `ora` or `zip`, in any case.
+    /// The format of a file name extension: `html`, `glb`, `ora`, `png` or `zip`, in any case.
     pub fn from_extension(extension: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|format| extension.eq_ignore_ascii_case(format.extension()))
+        Self::ALL.into_iter().find(|format| format.ending().rsplit('.').next().is_some_and(|own| extension.eq_ignore_ascii_case(own)))
     }
 
-    /// File name extension.
-    pub const fn extension(self) -> &'static str {
+    /// The format of a [`ExportFormat::name`], in any case.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| name.eq_ignore_ascii_case(format.name()))
+    }
+
+    /// Name in requests: `html`, `glb`, `ora`, `rgbd` or `zip`.
+    pub fn name(self) -> &'static str {
+        self.ending().split('.').next().unwrap_or_default()
+    }
+
+    /// Ending of a file's name; [`tmpi_pipeline::Stereo::of_name`] knows that of [`ExportFormat::Rgbd`].
+    pub const fn ending(self) -> &'static str {
         match self {
             Self::Html => "html",
             Self::Glb => "glb",
             Self::Ora => "ora",
+            Self::Rgbd => "rgbd.png",
             Self::Zip => "zip",
         }
     }
@@ -64,6 +79,7 @@ impl ExportFormat {
             Self::Html => "text/html; charset=utf-8",
             Self::Glb => "model/gltf-binary",
             Self::Ora => "image/openraster",
+            Self::Rgbd => "image/png",
             Self::Zip => "application/zip",
         }
     }
@@ -125,6 +141,7 @@ pub fn export(
         ExportFormat::Html => html(container, options.title),
         ExportFormat::Glb => glb(container, scene, options.model, cancelled),
         ExportFormat::Ora => ora(scene, cancelled),
+        ExportFormat::Rgbd => rgbd(scene),
         ExportFormat::Zip => zip(container, scene, cancelled),
     }
 }
@@ -158,9 +175,10 @@ mod tests {
     #[test]
     fn extensions_and_formats_match() {
         for format in ExportFormat::ALL {
-            assert_eq!(ExportFormat::from_extension(&format.extension().to_uppercase()), Some(format));
+            assert_eq!(ExportFormat::from_name(&format.name().to_uppercase()), Some(format));
         }
-        assert_eq!(ExportFormat::from_extension("gltf"), None);
+        let of = ["GLB", "png", "gltf", "rgbd"].map(ExportFormat::from_extension);
+        assert_eq!(of, [Some(ExportFormat::Glb), Some(ExportFormat::Rgbd), None, None]);
     }
 
     #[test]

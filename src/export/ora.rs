@@ -124,7 +124,7 @@ fn distances(width: usize, band: &[u8], own: u8, most: u16) -> Vec<u16> {
     away
 }
 
-fn png(samples: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<Vec<u8>, ExportError> {
+pub(super) fn png(samples: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<Vec<u8>, ExportError> {
     let mut out = Vec::new();
     PngEncoder::new(&mut out).write_image(samples, width, height, colour)?;
     Ok(out)

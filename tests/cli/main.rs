@@ -3,6 +3,8 @@
 
 mod config;
 mod fixture;
+#[cfg(unix)]
+mod watch;
 
 use std::path::Path;
 use std::process::Command;
@@ -11,6 +13,7 @@ use image::DynamicImage;
 use serde_json::Value;
 
 use tmpi_testing::Need;
+use tmpi_testing::jpeg::{segment, with_segments};
 
 use fixture::{Folder, Run, has};
 
@@ -242,6 +245,25 @@ fn existing_outputs_are_not_overwritten_without_force() {
 }
 
 #[test]
+fn pictures_of_all_directions_are_refused_with_what_helps() {
+    let f = Folder::new();
+    let plain = std::fs::read(f.path("box.jpg")).unwrap();
+    // a whole sphere, and the half of it that VR180 shows
+    for (name, cropped) in [("360.jpg", ""), ("180.jpg", "GPano:CroppedAreaImageWidthPixels='1800' GPano:FullPanoWidthPixels='3600'")] {
+        let packet = format!(
+            "<x:xmpmeta xmlns:x='adobe:ns:meta/'><rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'><rdf:Description \
+             xmlns:GPano='http://ns.google.com/photos/1.0/panorama/' GPano:ProjectionType='equirectangular' {cropped}/></rdf:RDF></x:xmpmeta>"
+        );
+        let body = [b"http://ns.adobe.com/xap/1.0/\0", packet.as_bytes()].concat();
+        f.write(name, &with_segments(&plain, &[segment(0xE1, &body)]));
+        f.run(&["make", name, "-o", "x.tmpi", "-q"]).fails(1, &[name, "360°", "stereo none"]);
+        f.run(&["depth", name, "-o", "x.png", "-q"]).fails(1, &[name, "360°"]);
+        f.run(&["make", name, "--depth", "depth.png", "--stereo", "none", "-o", name.replace("jpg", "tmpi").as_str(), "-q"]).succeeds();
+    }
+    assert!(!f.path("x.tmpi").exists());
+}
+
+#[test]
 fn make_continues_a_partly_finished_folder() {
     let f = Folder::new();
     for name in ["in/a.png", "in/sub/b.png", "in/sub/deep/c.png"] {
@@ -432,7 +454,7 @@ fn render_writes_every_format() {
 fn exports_are_readable_by_other_programs() {
     let f = Folder::new();
     f.container();
-    for (ending, first) in [("html", b"<!do"), ("glb", b"glTF"), ("ora", b"PK\x03\x04"), ("zip", b"PK\x03\x04")] {
+    for (ending, first) in [("html", b"<!do"), ("glb", b"glTF"), ("ora", b"PK\x03\x04"), ("rgbd.png", b"\x89PNG"), ("zip", b"PK\x03\x04")] {
         let name = format!("out/box.{ending}");
         let run = f.run(&["export", "box.tmpi", "-o", &name, "--json"]).succeeds();
         let about = run.json();
@@ -444,6 +466,9 @@ fn exports_are_readable_by_other_programs() {
         f.run(&["export", "box.tmpi", "-o", &again, "--json"]).succeeds();
         assert!(std::fs::read(f.path(&again)).unwrap() == bytes, "{ending}");
     }
+    // the ending says that the right half is the depth map
+    let again = f.run(&["make", "out/box.rgbd.png", "-o", "rgbd.tmpi", "--json", "-q"]).succeeds().json();
+    assert_eq!((&again["report"]["input"]["depth"]["source"], &again["report"]["width"]), (&"rgbd".into(), &150.into()));
     f.run(&["export", "box.tmpi", "-o", "far.glb", "--metric"]).succeeds();
     assert!(std::fs::read(f.path("far.glb")).unwrap() != std::fs::read(f.path("out/box.glb")).unwrap());
     f.run(&["export", "box.tmpi", "-o", "x.ora", "--metric"]).fails(2, &["--metric", "Usage: tmpi export"]);

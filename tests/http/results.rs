@@ -242,6 +242,7 @@ fn exports_to_download() {
         ("", "text/html; charset=utf-8", "html", b"<!do"),
         ("?format=glb", "model/gltf-binary", "glb", b"glTF"),
         ("?format=ora", "image/openraster", "ora", b"PK\x03\x04"),
+        ("?format=rgbd", "image/png", "rgbd.png", b"\x89PNG"),
         ("?format=zip", "application/zip", "zip", b"PK\x03\x04"),
     ] {
         let answer = fetch(query, &[]);
@@ -257,7 +258,7 @@ fn exports_to_download() {
     }
     tags.sort();
     tags.dedup();
-    assert_eq!(tags.len(), 4, "each format has its own tag");
+    assert_eq!(tags.len(), 5, "each format has its own tag");
     assert_eq!(fetch("?format=gltf", &[]).problem(400)["field"], "format");
 }
 

@@ -117,6 +117,29 @@ fn depth_is_measured_between_halves_and_behind_one_another() {
 }
 
 #[test]
+fn the_right_half_may_be_the_depth_map() {
+    let server = Running::open();
+    let grey = |x: u32| if x < W / 2 { 51 } else { 204 };
+    let photo = seen(W, H, 0, 0).rgba;
+    let map: Vec<_> = (0..W).map(|x| [grey(x), grey(x), grey(x), 255]).collect();
+    let rgba = photo.chunks(W as usize).flat_map(|row| [row, &map].concat()).collect();
+    // the map is grey; JPEG carries some colour of the photo into it
+    let both = file(&View { width: 2 * W, height: H, rgba }, PictureFormat::Jpeg);
+    for (kind, left) in [(&b"disparity"[..], 0.2), (b"inverted", 0.8)] {
+        let made = sent(server.addr, &[("stereo", b"rgbd"), ("depth_kind", kind), ("photo", &both)]);
+        let report = report(server.addr, &made);
+        assert_eq!((&report["width"], &report["input"]["depth"]["source"]), (&W.into(), &"rgbd".into()));
+        let map = get(server.addr, &format!("/v1/photos/{}/depth", made.json()["id"].as_str().unwrap())).body;
+        let (map, _) = from_map(&map, DepthKind::Disparity, &photo::Limits::default(), W, H).unwrap();
+        let [first, last] = [20, W - 20].map(|x| f64::from(map.delta[(H / 2 * W + x) as usize]));
+        assert!((first - left).abs() < 0.02 && (last - (1.0 - left)).abs() < 0.02, "{first} {last}");
+    }
+    // two eyes are no photo with its map
+    let eyes = sent(server.addr, &[("stereo", b"rgbd"), ("photo", &halves(false))]).problem(422);
+    assert!(eyes["field"] == "depth" && eyes["detail"].as_str().unwrap().contains("right half is in colour"), "{eyes}");
+}
+
+#[test]
 fn a_job_is_admitted_by_what_measuring_takes_wherever_the_second_picture_is() {
     let maker = way_within(photo::Limits::default());
     let [a, b] = [seen(W, H, 0, 0), seen(W, H, FAR, NEAR)].map(|view| file(&view, PictureFormat::Jpeg));

@@ -10,7 +10,7 @@ use crate::server::routes::Pairs;
 #[derive(Clone, Debug, Default, PartialEq, utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct ExportQuery {
-    /// `html` (default), `glb`, `ora` or `zip`.
+    /// `html` (default), `glb`, `ora`, `rgbd` or `zip`.
     #[param(value_type = Option<String>)]
     pub format: ExportFormat,
     /// Space of a `glb`: `relief` (default), which fits into the frame that viewers put around a model, or `metric`, with true distances.
@@ -39,7 +39,7 @@ impl ExportQuery {
     /// # Errors
     /// 400 that names the first parameter that is wrong.
     pub fn of(mut pairs: Pairs) -> Result<Self, Problem> {
-        let format = pairs.parse("format", "html, glb, ora or zip", ExportFormat::from_extension)?.unwrap_or_default();
+        let format = pairs.parse("format", "html, glb, ora, rgbd or zip", ExportFormat::from_name)?.unwrap_or_default();
         for name in ["shape", "textures"] {
             if format != ExportFormat::Glb && pairs.get(name).is_some() {
                 return Err(Problem::parameter(name, "requires format=glb"));

@@ -68,7 +68,7 @@ impl Recipe {
             Self::File { format: ExportFormat::Glb, model: ModelOptions { shape, textures } } => {
                 vec![("format", "glb".to_owned()), ("shape", value_name(shape)), ("textures", value_name(textures))]
             }
-            Self::File { format, .. } => vec![("format", format.extension().to_owned())],
+            Self::File { format, .. } => vec![("format", format.name().to_owned())],
             Self::Film(query, size) => film_pairs(query, *size),
         }
     }
@@ -81,7 +81,7 @@ impl Recipe {
     /// Media type and extension of the file for a [`Recipe::text`], whatever the current limits are.
     pub fn kind(text: &str) -> Option<(&'static str, &'static str)> {
         let format = text.split('&').find_map(|part| part.strip_prefix("format="))?;
-        let file = ExportFormat::from_extension(format).map(|format| (format.media_type(), format.extension()));
+        let file = ExportFormat::from_name(format).map(|format| (format.media_type(), format.ending()));
         file.or_else(|| AnimationFormat::from_extension(format).map(|format| (format.media_type(), format.extension())))
     }
 
@@ -190,6 +190,7 @@ mod tests {
             ("format=html", ("text/html; charset=utf-8", "html")),
             ("shape=metric&format=glb", ("model/gltf-binary", "glb")),
             ("format=ora", ("image/openraster", "ora")),
+            ("format=rgbd", ("image/png", "rgbd.png")),
             ("format=zip", ("application/zip", "zip")),
             ("path=orbit", ("image/webp", "webp")),
             ("path=orbit&format=mp4", ("video/mp4", "mp4")),
@@ -205,6 +206,7 @@ mod tests {
     fn wrong_parameters_are_named() {
         for (asked, field) in [
             ("format=gif", "format"),
+            ("format=png", "format"),
             ("format=mp4", "path"),
             ("format=webp", "path"),
             ("format=zip&w=3", "w"),

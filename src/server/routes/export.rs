@@ -13,11 +13,11 @@ use crate::server::exports::{ExportQuery, Recipe, export_for_client};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 
-/// Download the photo as a page, a model, layers or an archive.
+/// Download the photo as a page, a model, layers, photo and depth in one picture, or an archive.
 ///
 /// `html` is one page that contains viewer and photo and opens from disk without a network; `glb` is a glTF 2.0 model of textured, unlit
-/// polygons; `ora` is an `OpenRaster` file for Krita and GIMP, with 3 to 8 layers of the photo's size and the depth map; `zip` holds the
-/// photo, every layer as a PNG, the disparity, and the planes as JSON.
+/// polygons; `ora` is an `OpenRaster` file for Krita and GIMP, with 3 to 8 layers of the photo's size and the depth map; `rgbd` is a PNG
+/// of the photo with its depth map at the right, in which white is near, for light-field displays; `zip` holds the photo, every layer as a PNG, the disparity, and the planes as JSON.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/export", tag = "photos",
     params(
@@ -27,10 +27,10 @@ use crate::server::time_limit::TimeLimit;
     ),
     responses(
         (status = 200, description = "The file", content(
-            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip")),
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "image/png"), (String = "application/zip")),
             headers(("ETag" = String, description = "Strong entity tag"), ("Content-Disposition" = String, description = "Name of the file"))),
         (status = 206, description = "The range", content(
-            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"))),
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "image/png"), (String = "application/zip"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it"),
         (status = 409, description = "Not finished yet"),
@@ -62,6 +62,6 @@ pub async fn export(
     };
     let Export(stored) = app.exports.get((version, derived.made.clone()), Box::pin(write)).await?;
     let mut response = derived.answer(&headers, stored, format.media_type(), &timing);
-    insert(&mut response, header::CONTENT_DISPOSITION, &content_disposition(&photo, format.extension()));
+    insert(&mut response, header::CONTENT_DISPOSITION, &content_disposition(&photo, format.ending()));
     Ok(response)
 }

@@ -33,7 +33,7 @@ const LATER: u64 = 1;
 #[derive(utoipa::ToSchema)]
 #[allow(dead_code, reason = "describes the body in the OpenAPI document; parameters are read by hand so that errors name them")]
 pub struct ExportOrder {
-    /// `html` (default), `glb`, `ora` or `zip`; with `path`: `webp` (default) or `mp4`.
+    /// `html` (default), `glb`, `ora`, `rgbd` or `zip`; with `path`: `webp` (default) or `mp4`.
     format: Option<String>,
     /// Space of a `glb`: `relief` or `metric`.
     shape: Option<String>,
@@ -255,11 +255,11 @@ pub async fn state(State(app): State<App>, _: NoQuery, file: OrderedFile) -> Res
     ),
     responses(
         (status = 200, description = "The file", content(
-            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"),
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "image/png"), (String = "application/zip"),
             (String = "image/webp"), (String = "video/mp4")),
             headers(("ETag" = String, description = "Strong entity tag"), ("Content-Disposition" = String, description = "Name of the file"))),
         (status = 206, description = "The range", content(
-            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"),
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "image/png"), (String = "application/zip"),
             (String = "image/webp"), (String = "video/mp4"))),
         (status = 304, description = "The client has it"),
         (status = 404, description = "There is no such file"),

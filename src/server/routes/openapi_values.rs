@@ -43,7 +43,7 @@ pub fn add_values(document: &mut Value) {
     document["paths"]["/v1/photos/{id}/exports"]["post"]["requestBody"]["required"] = false.into();
     // no credentials are needed with open access, and for photos that their owner shows to everyone
     document["security"] = json!([{}, {"bearer": []}, {"cookie": []}]);
-    let exports = ExportFormat::ALL.map(ExportFormat::extension).into_iter();
+    let exports = ExportFormat::ALL.map(ExportFormat::name).into_iter();
     let fields = [
         ("UploadForm", "class", json!(["interactive", "batch"])),
         ("UploadForm", "denoise", words::<Denoise>()),

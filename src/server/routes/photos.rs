@@ -57,7 +57,7 @@ pub struct UploadForm {
     /// Depth that the photo brings along within its file: `auto`, `off`, or `on` to fail without.
     photo_depth: Option<String>,
     /// Where the picture of a second eye is: `auto` behind the first in the file (MPO), or as the name of the photo's file says; `left-right` or
-    /// `top-bottom` in its halves, `beside` in the field `second`, `none` nowhere.
+    /// `top-bottom` in its halves, `rgbd` if the right half is the depth map, `beside` in the field `second`, `none` nowhere.
     stereo: Option<String>,
     /// Horizontal field of view in degrees.
     fov_x: Option<f64>,

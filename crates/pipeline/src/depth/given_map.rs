@@ -17,6 +17,8 @@ const OUTLIERS: f64 = 1e-3;
 /// Levels of 255 by which the channels of a grey picture may differ. Lossy formats store brightness and colour, each rounded and coded by
 /// itself, and programs save what they decode as PNG. A map in false colours differs by far more.
 const ALIKE: u16 = 8;
+/// Columns at the left of half a picture into which JPEG carries colours of the other half.
+const SEAM: usize = 17;
 /// Largest difference in aspect, as a share, at which a map fits its photo.
 const STRETCHED: f64 = 0.03;
 
@@ -143,18 +145,39 @@ pub fn from_map_beside(
 ) -> Result<Read, DepthError> {
     let Grey { width: w, height: h, values } = if pfm::is_pfm(bytes) { pfm::read(bytes, limits)? } else { grey(bytes, limits)? };
     let lies = orientation >= 5 && fits((w, h), (height, width)) && !fits((w, h), (width, height));
-    let (values, (w, h)) = photo::upright_srgb::turned(values, (w, h), if lies { orientation } else { 1 });
+    let (values, size) = photo::upright_srgb::turned(values, (w, h), if lies { orientation } else { 1 });
+    from_values(values, size, kind, (width, height))
+}
+
+/// Disparity from the half of a picture that holds the depth map of the other half (RGB-D), at its size.
+///
+/// # Errors
+/// [`DepthError::Embedded`] if it is in colour, or holds no known depth.
+pub fn from_half(half: &Photo, kind: DepthKind) -> Result<Read, DepthError> {
+    let size = (half.width, half.height);
+    let differs = |&[r, g, b]: &[u8; 3]| u16::from(r.abs_diff(g).max(b.abs_diff(g))) > ALIKE;
+    if half.rgb.chunks_exact(size.0 as usize).any(|row| row.iter().skip(SEAM).any(differs)) {
+        return Err(DepthError::Embedded("the right half is in colour: a depth map must be grey".into()));
+    }
+    // brightness: colours of the other half do not change it
+    let values = half.rgb.iter().map(|p| p.iter().zip([77.0, 150.0, 29.0]).map(|(&v, share)| f32::from(v) * share).sum::<f32>());
+    from_values(values.map(|v| v / (256.0 * 255.0)).collect(), size, kind, size).map_err(|e| DepthError::Embedded(e.to_string()))
+}
+
+/// Reads the values of an upright map of `size` at the size of the photo.
+fn from_values(values: Vec<f32>, size: (u32, u32), kind: DepthKind, photo: (u32, u32)) -> Result<Read, DepthError> {
+    let width = size.0 as usize;
     Ok(match kind {
         DepthKind::Disparity | DepthKind::Inverted => {
-            let (delta, unknown) = from_disparity(values, w as usize, kind == DepthKind::Inverted)?;
+            let (delta, unknown) = from_disparity(values, width, kind == DepthKind::Inverted)?;
             let filled = (unknown > 0).then(|| unknown as f64 / delta.len() as f64);
-            Read { filled, ..Read::new(delta, (w, h), (width, height)) }
+            Read { filled, ..Read::new(delta, size, photo) }
         }
         DepthKind::Metric => {
             let all = values.len().max(1) as f64;
-            let Metric { delta, unknown, clipped } = from_metric(values, w as usize)?;
+            let Metric { delta, unknown, clipped } = from_metric(values, width)?;
             let [filled, clipped] = [unknown, clipped].map(|n| Some(n as f64 / all));
-            Read { filled, clipped, ..Read::new(delta, (w, h), (width, height)) }
+            Read { filled, clipped, ..Read::new(delta, size, photo) }
         }
     })
 }
@@ -407,6 +430,31 @@ mod tests {
         }
         let tinted = jpeg(ImageBuffer::from_fn(40, 30, |x, y| Rgb([value(x, y), 128, 40])), 100);
         assert!(from_map(&tinted, DepthKind::Disparity, 40, 30).unwrap_err().to_string().contains("colour"));
+    }
+
+    #[test]
+    fn half_a_picture_is_a_map_unless_it_is_in_colour() {
+        let grey = |x: u32| (x * 2) as u8;
+        let half = |seam: [u8; 3], within: [u8; 3]| {
+            Photo::from_fn(100, 3, |x, y| {
+                if y == 1 && x == 0 {
+                    seam
+                } else if y == 1 && x == 60 {
+                    within
+                } else {
+                    [grey(x); 3]
+                }
+            })
+        };
+        // colours that cross the seam count by their brightness: (77 · 110 + 150 · 75 + 29 · 196) / 256 = 99.2
+        let read = from_half(&half([110, 75, 196], [120, 120, 127]), DepthKind::Disparity).unwrap();
+        assert_eq!((read.size, read.own, read.filled), ((100, 3), None, None));
+        let at = |x: usize, y: usize| f64::from(read.map.delta[y * 100 + x]) * 255.0;
+        assert!((at(0, 1) - 99.2).abs() < 0.1 && (at(99, 0) - 198.0).abs() < 1e-4 && (at(60, 1) - 120.8).abs() < 0.1);
+        let inverted = from_half(&half([0; 3], [120; 3]), DepthKind::Inverted).unwrap().map.delta[99];
+        assert!((inverted * 255.0 - 57.0).abs() < 1e-3, "{inverted}");
+        let error = from_half(&half([0; 3], [120, 120, 129]), DepthKind::Disparity).unwrap_err();
+        assert!(matches!(&error, DepthError::Embedded(why) if why.contains("colour")), "{error}");
     }
 
     #[test]

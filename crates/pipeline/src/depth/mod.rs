@@ -19,7 +19,7 @@ pub(crate) use embedded::multi::second_picture;
 pub(crate) use embedded::xmp;
 pub use embedded::{EmbeddedDepth, embedded_depth};
 pub(crate) use given_map::fits;
-pub use given_map::{check, from_map, from_map_beside, head, resized};
+pub use given_map::{check, from_half, from_map, from_map_beside, head, resized};
 pub use monocular::Monocular;
 pub use png_writer::to_png;
 pub use upsample::{halved, upsample};

@@ -3,6 +3,7 @@
 use super::stages::{Denoise, Depth, Encode, Layers, Planes, Prepare, Refine, Snap, Source, Strokes, Verify};
 use super::{Context, Made, MakeError, Models, Options, Sink, Sizes};
 use crate::photo::Limits;
+use crate::stereo::Stereo;
 use crate::strokes;
 
 /// Makes a photo: runs all stages and returns the container and the report. `depth` is the file of your own depth map, if any, or of the
@@ -23,8 +24,9 @@ pub fn make(
     let mut job = Context::new(models, limits, options, sink);
     let source = Source::choose(photo, depth, &mut job)?;
     job.sizes = Some(Sizes::of(photo, depth, options, limits)?);
-    let mut prepared = job.run(&mut Prepare, (photo, matches!(source, Source::Network)))?;
-    let source = source.or_half(prepared.second_half.take());
+    let estimated = matches!(source, Source::Network) && options.stereo != Stereo::Rgbd;
+    let mut prepared = job.run(&mut Prepare, (photo, estimated))?;
+    let source = source.or_half(prepared.second_half.take(), options.stereo);
     let map = job.run(&mut Depth::default(), (&prepared.photo, source))?;
     let map = job.run(&mut Denoise, (&prepared.photo, map))?;
     let before_strokes = (!options.strokes.is_empty()).then(|| strokes::to_keep(&map.delta));

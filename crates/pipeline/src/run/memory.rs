@@ -6,6 +6,7 @@
 use super::{ExtraPicture, MakeError, Options, PlaneCount, Sizes};
 use crate::depth::DepthError;
 use crate::photo::{Limits, PhotoError, reduced_size};
+use crate::stereo::Stereo;
 
 /// Bytes that do not depend on the photo: program, tables and, for the largest part, the embedded depth network. With a depth map, the
 /// program takes 16 MiB for a photo of 3000 pixels. With the network, it takes 99 MiB, and 118 MiB for 0.25 and 0.5 megapixels, of which
@@ -63,7 +64,8 @@ impl Options {
     pub fn memory_with(&self, sizes: &Sizes, side: Option<u32>, planes: u32) -> u64 {
         let (w, h) = reduced_size(self.photo_size(sizes.file), side);
         let made = bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
-        let measures = self.stereo.halves().is_some() || matches!(sizes.extra, Some(ExtraPicture::SecondPicture(_)));
+        let halves = matches!(self.stereo, Stereo::LeftRight | Stereo::TopBottom);
+        let measures = halves || matches!(sizes.extra, Some(ExtraPicture::SecondPicture(_)));
         // decoded pictures are freed before planes are placed
         let made = made + if measures { STEREO } else { 0 };
         let decoded = |size: (u32, u32)| if size == (w, h) { 0 } else { decoding_bytes(size) + area((w, h)) * PHOTO };
@@ -147,7 +149,6 @@ fn area((w, h): (u32, u32)) -> u64 {
 mod tests {
     use super::*;
     use crate::run::TileSize;
-    use crate::stereo::Stereo;
 
     fn with_map(file: (u32, u32), map: (u32, u32)) -> Sizes {
         Sizes { file, extra: Some(ExtraPicture::DepthMap(map)) }
@@ -213,6 +214,7 @@ mod tests {
         assert_eq!(auto.memory(&with_eye(eye, eye)), alone + STEREO);
         let halves = |stereo| Options { stereo, ..Options::default() };
         assert_eq!(halves(Stereo::LeftRight).memory(&Sizes::of_photo((8000, 3000))), alone + STEREO);
+        assert_eq!(halves(Stereo::Rgbd).memory(&Sizes::of_photo((8000, 3000))), alone);
         assert_eq!(halves(Stereo::TopBottom).memory(&Sizes::of_photo((4000, 6000))), alone + STEREO);
         // `max_size` applies to one half, but both halves are decoded
         let small = Options { max_size: Some(1000), ..halves(Stereo::LeftRight) };

@@ -35,8 +35,8 @@ pub struct Input {
 /// A depth map that came with a photo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct InputDepth {
-    /// Origin of the map: `given` in a file of its own; `gdepth`, `dynamic-depth` or `multi-picture` embedded in the photo's file; `stereo`
-    /// measured against a second picture.
+    /// Origin of the map: `given` in a file of its own; `rgbd` in the picture's right half; `gdepth`, `dynamic-depth` or `multi-picture`
+    /// embedded in the photo's file; `stereo` measured against a second picture.
     pub source: String,
     /// Width in pixels.
     pub width: u32,

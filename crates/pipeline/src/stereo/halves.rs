@@ -12,10 +12,12 @@ const PANORAMA: f64 = 1.0 / 3.0;
 const BESIDE: [&str; 4] = ["left-right", "side-by-side", "sbs", "lr"];
 /// Words for two eyes above one another.
 const ABOVE: [&str; 5] = ["top-bottom", "over-under", "ou", "tb", "tab"];
+/// The word for a photo and its depth map beside one another.
+const RGBD: &str = "rgbd";
 /// Words for pictures of all directions.
 const SPHERE: [&str; 3] = ["360", "vr360", "vr180"];
 
-/// Where the picture of a second eye is.
+/// Where the picture of a second eye is, or the depth map in its place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stereo {
@@ -26,13 +28,15 @@ pub enum Stereo {
     LeftRight,
     /// In the photo's lower half.
     TopBottom,
+    /// The photo's right half is its depth map (RGB-D).
+    Rgbd,
     /// In a file of its own, given instead of a depth map.
     Beside,
     /// Nowhere: the photo is read as a single picture.
     None,
 }
 
-/// Two eyes in the halves of one picture.
+/// Two pictures in the halves of one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Halves {
     /// Left and right.
@@ -54,18 +58,19 @@ impl Stereo {
                 apart(name[..at].chars().next_back()) && apart(name[at + word.len()..].chars().next())
             })
         };
-        let layout = match (BESIDE.iter().any(says), ABOVE.iter().any(says)) {
-            (true, false) => Self::LeftRight,
-            (false, true) => Self::TopBottom,
+        let layout = match (BESIDE.iter().any(says), ABOVE.iter().any(says), says(&RGBD)) {
+            (true, false, false) => Self::LeftRight,
+            (false, true, false) => Self::TopBottom,
+            (_, false, true) => Self::Rgbd,
             _ => return Ok(Self::Auto),
         };
         if SPHERE.iter().any(says) { Err(DepthError::Sphere) } else { Ok(layout) }
     }
 
-    /// How to cut a picture that shows both eyes; `None` if it does not.
+    /// How to cut a picture that holds two; `None` if it does not.
     pub fn halves(self) -> Option<Halves> {
         match self {
-            Self::LeftRight => Some(Halves::LeftRight),
+            Self::LeftRight | Self::Rgbd => Some(Halves::LeftRight),
             Self::TopBottom => Some(Halves::TopBottom),
             Self::Auto | Self::Beside | Self::None => None,
         }

@@ -179,6 +179,7 @@ fn file_names_tell_where_the_eyes_are() {
         ("A_SBS.JPG", Stereo::LeftRight),
         ("a.top-bottom.png", Stereo::TopBottom),
         ("a-ou.webp", Stereo::TopBottom),
+        ("a_rgbd.png", Stereo::Rgbd),
         ("could.jpg", Stereo::Auto),
         ("left.jpg", Stereo::Auto),
         ("360.jpg", Stereo::Auto),

@@ -211,8 +211,60 @@ fn a_map_is_turned_upright_with_its_photo() {
 
 /// Sets orientation 6: the stored top is the upright right.
 fn on_its_side(file: &[u8]) -> Vec<u8> {
-    let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0".as_slice(), &[0; 4]].concat();
+    oriented(file, 6)
+}
+
+/// Sets an orientation.
+fn oriented(file: &[u8], orientation: u8) -> Vec<u8> {
+    let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0".as_slice(), &[orientation, 0, 0, 0, 0, 0, 0]].concat();
     with(file, &[segment(0xE1, &exif)])
+}
+
+#[test]
+fn a_map_lies_as_its_photo_does_in_all_eight_orientations_wherever_it_is() {
+    let models = Models { depth: std::sync::Arc::new(("none", |_: &Photo| Err(DepthError::NotEmbedded))), theta: None, psi: None };
+    let plain = Options { denoise: crate::Denoise::Off, snap: Switch::Off, ..Options::default() };
+    // the quarters of the upright picture lie at four distances
+    let quarter = |x: u32, y: u32| [51, 102, 153, 204][usize::from(x >= W / 2) + 2 * usize::from(y >= H / 2)];
+    let upright = GrayImage::from_fn(W, H, |x, y| Luma([quarter(x, y)]));
+    let both =
+        RgbImage::from_fn(2 * W, H, |x, y| if x < W { Rgb([(x * 3) as u8, (y * 4) as u8, 90]) } else { Rgb([quarter(x - W, y); 3]) });
+    let check = |what: &str, orientation: u8, file: &[u8], given: Option<&[u8]>, stereo| {
+        let options = Options { stereo, ..plain.clone() };
+        let made = crate::make(&models, &Limits::default(), file, given, &options, &crate::Silent).unwrap();
+        assert_eq!((made.disparity.width, made.disparity.height), (W, H), "{what}, {orientation}");
+        for (x, y) in [(5, 5), (W - 6, 5), (5, H - 6), (W - 6, H - 6)] {
+            let (got, want) = (made.disparity.delta[(y * W + x) as usize], f32::from(quarter(x, y)) / 255.0);
+            assert!((got - want).abs() < 0.02, "{what}, {orientation}: {got} for {want} at {x}, {y}");
+        }
+    };
+    for orientation in 1..=8 {
+        // a picture as a camera stores it: turned the other way
+        let stored = |image: &image::DynamicImage| match orientation {
+            2 => image.fliph(),
+            3 => image.rotate180(),
+            4 => image.flipv(),
+            5 => image.rotate90().fliph(),
+            6 => image.rotate270(),
+            7 => image.rotate270().fliph(),
+            8 => image.rotate90(),
+            _ => image.clone(),
+        };
+        let jpeg = |image: &RgbImage| oriented(&encoded(stored(&image.clone().into()), ImageFormat::Jpeg), orientation);
+        let photo = RgbImage::from_fn(W, H, |x, y| *both.get_pixel(x, y));
+        let map = encoded(upright.clone(), ImageFormat::Png);
+        check("pair", orientation, &jpeg(&photo), Some(&map), crate::Stereo::Auto);
+        let stored_map = stored(&upright.clone().into());
+        if orientation >= 5 {
+            // turned by 90°, its shape tells
+            check("stored pair", orientation, &jpeg(&photo), Some(&encoded(stored_map.clone(), ImageFormat::Png)), crate::Stereo::Auto);
+        }
+        let mut far_is_white = stored_map.to_luma8();
+        far_is_white.pixels_mut().for_each(|p| p.0[0] = 255 - p.0[0]);
+        let file = gdepth_with(&jpeg(&photo), far_is_white, "RangeInverse", "1", "inf");
+        check("embedded", orientation, &file, None, crate::Stereo::Auto);
+        check("rgbd", orientation, &jpeg(&both), None, crate::Stereo::Rgbd);
+    }
 }
 
 #[test]

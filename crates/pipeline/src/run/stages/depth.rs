@@ -36,6 +36,8 @@ pub enum Source<'a> {
     Given(&'a [u8], u8),
     /// The map embedded in the photo's file.
     Embedded(depth::EmbeddedDepth),
+    /// The map in the other half of the photo's picture.
+    Half(Photo),
     /// Measurement against a second picture.
     Second(SecondPicture<'a>),
 }
@@ -91,9 +93,10 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// The other half of the photo's picture, if there is one and no other source was chosen.
-    pub fn or_half(self, half: Option<Photo>) -> Self {
+    /// The other half of the photo's picture, if there is one and no other source was chosen: a depth map or a second picture.
+    pub fn or_half(self, half: Option<Photo>, stereo: Stereo) -> Self {
         match (self, half) {
+            (Self::Network, Some(half)) if stereo == Stereo::Rgbd => Self::Half(half),
             (Self::Network, Some(half)) => Self::Second(SecondPicture::Half(half)),
             (source, _) => source,
         }
@@ -154,6 +157,7 @@ impl run::Stage for Depth {
                 let kind = context.options.depth_kind;
                 Some(("given", "given", depth::from_map_beside(file, kind, context.limits, (width, height), *orientation)?))
             }
+            Source::Half(half) => Some(("given", "rgbd", depth::from_half(half, context.options.depth_kind)?)),
             Source::Embedded(embedded) => match embedded.read(context.limits, width, height) {
                 Ok(read) => Some(("embedded", embedded.format, read)),
                 Err(error) if context.options.photo_depth == Switch::On => return Err(error.into()),

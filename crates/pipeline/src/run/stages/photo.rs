@@ -24,7 +24,7 @@ pub struct Prepared {
     pub uploaded: Option<Vec<u8>>,
     /// Longest side in pixels that a time budget chose, if it reduced the photo.
     pub reduced: Option<u32>,
-    /// The second picture, if the file holds two in halves.
+    /// The second picture, or the depth map, if the file holds two in halves.
     pub second_half: Option<Photo>,
 }
 
