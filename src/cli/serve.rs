@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context as _;
+use axum::http::HeaderName;
 use clap::ArgAction;
 
 use super::better_network::BetterNetwork;
@@ -87,6 +88,9 @@ pub(super) struct ServeArgs {
                 all private networks and this machine"
     )]
     trusted_proxies: Vec<Network>,
+    /// Header in which a trusted proxy names the user whom it has logged in, such as Remote-User; each user is an owner of photos
+    #[arg(long, requires = "trusted_proxies", value_name = "NAME")]
+    login_header: Option<HeaderName>,
     /// Renderer of views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -205,7 +209,7 @@ impl ServeArgs {
 
     fn is_private(&self) -> bool {
         // a host name suggests clients from elsewhere, through a proxy
-        let usual = !self.addr.ip().is_loopback() || !self.hosts.is_empty();
+        let usual = !self.addr.ip().is_loopback() || !self.hosts.is_empty() || self.login_header.is_some();
         self.access.map_or(usual, |access| access == Access::Private)
     }
 
@@ -287,7 +291,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         blobs: args.blobs,
         pages: args.pages,
         hosts: args.hosts.into_iter().chain(args.advertise.map(|address| address.host().to_owned())).collect(),
-        proxies: Proxies::new(&args.trusted_proxies),
+        proxies: Proxies::new(&args.trusted_proxies).with_login(args.login_header),
         public_list: args.access == Some(Access::Public),
         private,
         role: args.role,

@@ -40,6 +40,7 @@ mod rest_client;
 mod results;
 mod retention;
 mod second;
+mod signed_links;
 mod slow_uploads;
 mod sources;
 mod strokes;
