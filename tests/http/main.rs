@@ -32,6 +32,7 @@ mod origins;
 mod photo_settings;
 mod photo_token;
 mod prelude;
+mod presets;
 mod process;
 mod proxies;
 mod rates;
