@@ -21,7 +21,7 @@ enum What {
     Add {
         /// Name of the owner: letters, digits, dots, - and _
         name: String,
-        /// What the key allows: upload, read, metrics, admin (everything, on all photos)
+        /// What the key allows: upload, read, sign (links), metrics, admin (everything, on all photos)
         #[arg(long, value_parser = scope, value_delimiter = ',', required = true, value_name = "SCOPE[,SCOPE…]")]
         scope: Vec<Scope>,
         /// Days until the key expires; without it, never

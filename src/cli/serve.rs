@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context as _;
+use axum::http::HeaderName;
 use clap::ArgAction;
 
 use super::better_network::BetterNetwork;
@@ -17,8 +18,8 @@ use tmpi_pipeline::networks::cli_flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    AddressPolicy, Collector, Config, ConfiguredWebhook, Limits, Network, NetworkUpgrade, PipelineMaker, ProcessMaker, Proxies, Rates,
-    Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, hex, run_child, stop_signal, use_one_malloc_arena,
+    AddressPolicy, Collector, Config, ConfiguredWebhook, Limits, Network, NetworkUpgrade, PipelineMaker, Preset, Presets, ProcessMaker,
+    Proxies, Rates, Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, hex, run_child, stop_signal, use_one_malloc_arena,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -86,6 +87,19 @@ pub(super) struct ServeArgs {
                 all private networks and this machine"
     )]
     trusted_proxies: Vec<Network>,
+    /// Header in which a trusted proxy names the user whom it has logged in, such as Remote-User; each user is an owner of photos
+    #[arg(long, requires = "trusted_proxies", value_name = "NAME")]
+    login_header: Option<HeaderName>,
+    #[arg(
+        long,
+        value_name = "NAME=OPTIONS",
+        help = "Name for options of views and films (preset=NAME in an address), or of photos to make (the field `preset`), for example \
+                card=w=640&format=webp or small=max-size=1600&planes=8; may be repeated"
+    )]
+    preset: Vec<Preset>,
+    /// Take no options of views, films and photos besides presets, except from administrators
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", default_value_t = false, action = ArgAction::Set, value_name = "true|false")]
+    presets_only: bool,
     /// Renderer of views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -193,6 +207,11 @@ impl ServeArgs {
         }))
     }
 
+    /// The presets.
+    fn presets(&self, limits: &Limits) -> anyhow::Result<Presets> {
+        Presets::new(&self.preset, self.presets_only, limits).map_err(|e| Usage(format!("--preset: {e}")).into())
+    }
+
     /// The key that signs tokens.
     fn room_key(&self) -> anyhow::Result<Option<Vec<u8>>> {
         let key = self.live_key.as_deref().map(files::read).transpose()?;
@@ -204,7 +223,7 @@ impl ServeArgs {
 
     fn is_private(&self) -> bool {
         // a host name suggests clients from elsewhere, through a proxy
-        let usual = !self.addr.ip().is_loopback() || !self.hosts.is_empty();
+        let usual = !self.addr.ip().is_loopback() || !self.hosts.is_empty() || self.login_header.is_some();
         self.access.map_or(usual, |access| access == Access::Private)
     }
 
@@ -261,7 +280,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         return Ok(());
     }
     disable_process_inspection();
-    let rooms = args.rooms(&models, limits.live)?;
+    let (rooms, presets) = (args.rooms(&models, limits.live)?, args.presets(&limits)?);
     use_one_malloc_arena();
     if let Err(error) = tmpi_pipeline::networks::available() {
         tracing::error!("photos without a depth map wait until ONNX Runtime is available. {error}");
@@ -286,7 +305,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         blobs: args.blobs,
         pages: args.pages,
         hosts: args.hosts.into_iter().chain(args.advertise.map(|address| address.host().to_owned())).collect(),
-        proxies: Proxies::new(&args.trusted_proxies),
+        proxies: Proxies::new(&args.trusted_proxies).with_login(args.login_header),
         public_list: args.access == Some(Access::Public),
         private,
         role: args.role,
@@ -295,6 +314,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         webhook_addresses: reach(args.private_webhooks),
         source_hosts: args.source_hosts,
         source_addresses: reach(args.private_sources),
+        presets,
         limits,
     };
     let tls = args.tls_cert.zip(args.tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;

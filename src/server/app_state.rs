@@ -26,6 +26,7 @@ use super::maker::Maker;
 use super::memory_budget::MemoryBudget;
 use super::metrics::Telemetry;
 use super::outbound::AddressPolicy;
+use super::presets::Presets;
 use super::problem::Problem;
 use super::program_digest;
 use super::proxies::Proxies;
@@ -90,6 +91,8 @@ pub struct AppState {
     pub hosts: Hosts,
     /// Trusted proxies.
     pub proxies: Proxies,
+    /// Named options of views and photos.
+    pub presets: Presets,
     /// Whether remote callers may list photos.
     pub public_list: bool,
     /// Access control; `None` with open access.
@@ -121,7 +124,7 @@ pub struct AppState {
 impl AppState {
     /// State of a server that listens at `addr`.
     pub fn new(config: Config, addr: SocketAddr, library: Library, parts: AppParts) -> Self {
-        let Config { webhook_addresses, admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
+        let Config { webhook_addresses, admin, data, pages, hosts, proxies, presets, public_list, private, limits, .. } = config;
         let AppParts { maker, renderer, telemetry, openapi, sources } = parts;
         Self {
             guard: private.then(|| Guard::new(library.clone())),
@@ -148,6 +151,7 @@ impl AppState {
             renderer,
             hosts: Hosts::new(addr, &hosts),
             proxies,
+            presets,
             public_list,
             webhook_addresses,
             sources,
@@ -160,6 +164,12 @@ impl AppState {
             asked_to_leave: CancellationToken::new(),
             has_admin: admin.is_some(),
         }
+    }
+
+    /// Whether the caller may give options besides presets.
+    pub fn takes_options(&self, headers: &HeaderMap) -> bool {
+        let is_admin = || if self.guard.is_some() { Guard::is_admin() } else { self.hosts.is_own(headers) };
+        !self.presets.are_exclusive() || is_admin()
     }
 
     /// Sets [`AppState::origin`] of a server that serves TLS at `port`.

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use super::fetch_by_url::{SourceHost, Sources};
 use super::limits::Limits;
 use super::outbound::AddressPolicy;
+use super::presets::Presets;
 use super::proxies::Proxies;
 use super::traces::Collector;
 use super::webhooks::ConfiguredWebhook;
@@ -58,6 +59,8 @@ pub struct Config {
     pub source_hosts: Vec<SourceHost>,
     /// Addresses that these hosts may have.
     pub source_addresses: AddressPolicy,
+    /// Named options of views and photos.
+    pub presets: Presets,
     /// Limits.
     pub limits: Limits,
 }
@@ -82,6 +85,7 @@ impl Config {
             webhook_addresses: AddressPolicy::Public,
             source_hosts: Vec::new(),
             source_addresses: AddressPolicy::Public,
+            presets: Presets::default(),
             limits: Limits::default(),
         }
     }

@@ -14,7 +14,7 @@ use tmpi_library::Photo;
 const UNTITLED: &str = "3D photo";
 const DESCRIPTION: &str = "A 3D photo: it moves as you look around.";
 /// Longest side of the picture in pixels: what sites with large previews ask for.
-const PICTURE: u32 = 1200;
+pub const PICTURE: u32 = 1200;
 
 /// A picture of a photo.
 #[derive(Debug, PartialEq, Eq)]

@@ -177,9 +177,9 @@ async fn answer(app: &App, checks: Checks<'_>, request: Request, next: Next) -> 
 
 /// Checks host, access and rate limits, then calls the handler.
 async fn asked(checks: Checks<'_>, mut request: Request, next: Next) -> Response {
-    let (told, come) = match (checks.guard, checks.rates) {
-        (Some(guard), Some(rates)) => {
-            let (told, pass) = guard.admit(checks.hosts, rates, &mut request).await;
+    let (told, come) = match (checks.guard.zip(checks.proxies), checks.rates) {
+        (Some((guard, proxies)), Some(rates)) => {
+            let (told, pass) = guard.admit((checks.hosts, proxies), rates, &mut request).await;
             (told, pass.map(|pass| Some((guard, pass))))
         }
         (None, Some(rates)) => {

@@ -1,4 +1,4 @@
-//! Trusted proxies, which name the client of a request in `X-Forwarded-For`.
+//! Trusted proxies, which name the client of a request in `X-Forwarded-For`, and the user whom they have logged in.
 //!
 //! The server ignores such claims of other peers, and of several hops it uses only those that trusted proxies saw.
 
@@ -7,6 +7,9 @@ use std::str::FromStr;
 
 use axum::http::{HeaderMap, HeaderName};
 use ipnet::IpNet;
+use tmpi_library::Owner;
+
+use super::problem::Problem;
 
 /// The client and the proxies behind it, the nearest last.
 pub const X_FORWARDED_FOR: HeaderName = HeaderName::from_static("x-forwarded-for");
@@ -35,17 +38,37 @@ impl FromStr for Network {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Proxies {
     networks: Vec<IpNet>,
+    login: Option<HeaderName>,
 }
 
 impl Proxies {
     /// Trusts proxies in `networks`.
     pub fn new(networks: &[Network]) -> Self {
-        Self { networks: networks.iter().flat_map(|network| network.0.iter().copied()).collect() }
+        Self { networks: networks.iter().flat_map(|network| network.0.iter().copied()).collect(), login: None }
+    }
+
+    /// They name the logged-in user in this header.
+    pub fn with_login(self, header: Option<HeaderName>) -> Self {
+        Self { login: header, ..self }
     }
 
     /// Whether a peer is a trusted proxy.
     pub fn trusts(&self, peer: IpAddr) -> bool {
         self.networks.iter().any(|network| network.contains(&peer.to_canonical()))
+    }
+
+    /// The user whom `peer` has logged in; `None` if it is not a trusted proxy, whatever it sends.
+    ///
+    /// # Errors
+    /// 400 if the header is not text, or comes twice: the client may have sent one of the two.
+    pub fn login(&self, peer: IpAddr, headers: &HeaderMap) -> Result<Option<Owner>, Problem> {
+        let Some(name) = self.login.as_ref().filter(|_| self.trusts(peer)) else { return Ok(None) };
+        let values: Vec<_> = headers.get_all(name).iter().map(|value| std::str::from_utf8(value.as_bytes())).collect();
+        match values.as_slice() {
+            [] | [Ok("")] => Ok(None),
+            [Ok(user)] => Ok(Some(Owner::of_login(user))),
+            _ => Err(Problem::bad_request("the login header must be given once, as text").field(name.as_str())),
+        }
     }
 
     /// The client of a request from `peer`: the last address on its way that is not a trusted proxy, or the first of all.

@@ -59,7 +59,7 @@ pub(super) async fn take_slot(app: &App) -> Result<ClientSlot, Problem> {
 /// 400 that names a wrong field, 408, 413, 415, 429, 500, 507.
 pub async fn upload(app: &App, query: &[(String, String)], request: Request, owner: Option<Owner>) -> Result<Photo, Problem> {
     // errors of the query come first
-    let fields = of_query(query)?;
+    let fields = of_query(&app.presets, app.takes_options(request.headers()), query)?;
     let _slot = take_slot(app).await?;
     let mut parts = UploadParts { photo: None, depth: None, fields };
     // a body of another type is the photo itself
@@ -155,10 +155,10 @@ async fn read_multipart(app: &App, parts: &mut UploadParts, request: Request) ->
             "photo" => &mut parts.photo,
             "depth" | "second" => &mut parts.depth,
             _ => {
-                check_name(&name, "field; there are photo, depth, second, title, visibility, class")?;
+                check_name(&name, "field; there are photo, depth, second, preset, title, visibility, class")?;
                 let value = text(&name, field).await?;
                 if !value.trim().is_empty() {
-                    parts.fields.set(&name, &value)?;
+                    parts.fields.take(&app.presets, &name, &value)?;
                 }
                 continue;
             }

@@ -40,6 +40,8 @@ pub struct SourceOrder {
     depth_source: Option<String>,
     /// What to call the photo; else the name of the file at the address.
     title: Option<String>,
+    /// Name of a preset of the server (`--preset`), whose options are added to those here.
+    preset: Option<String>,
 }
 
 /// Whether a request names the address of a photo instead of sending the photo.
@@ -64,7 +66,7 @@ pub async fn fetch_upload(
         let detail = "this server does not fetch photos: tmpi serve --source-hosts lists the hosts that it may fetch from";
         return Err(Problem::new(StatusCode::FORBIDDEN, "no-sources", detail));
     }
-    let mut fields = of_query(query)?;
+    let mut fields = of_query(&app.presets, app.takes_options(request.headers()), query)?;
     let (source, depth) = read(app, &mut fields, request).await?;
     let _slot = upload::take_slot(app).await?;
     clock.allow(app.limits.request + PATIENCE);
@@ -106,8 +108,8 @@ async fn read(app: &App, fields: &mut UploadFields, request: Request) -> Result<
             SOURCE => source = Some(app.sources.address(&text).map_err(|e| problem(SOURCE, &e))?),
             DEPTH => depth = Some(app.sources.address(&text).map_err(|e| problem(DEPTH, &e))?),
             _ => {
-                check_name(&name, "field; there are source, depth_source, title, visibility, class")?;
-                fields.set(&name, &text)?;
+                check_name(&name, "field; there are source, depth_source, preset, title, visibility, class")?;
+                fields.take(&app.presets, &name, &text)?;
             }
         }
     }

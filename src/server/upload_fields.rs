@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::photo_options;
+use super::presets::{PRESET, Presets, refused};
 use super::problem::Problem;
 use super::viewer_settings::Settings;
 use tmpi_library::Class;
@@ -24,9 +25,27 @@ pub struct UploadFields {
     pub settings: Settings,
     /// Name of the photo's file: the title by default; it may also name the stereo layout.
     pub file_name: Option<String>,
+    /// Whether the caller may give options besides presets.
+    free: bool,
 }
 
 impl UploadFields {
+    /// None yet; options besides presets need `free`.
+    pub fn new(free: bool) -> Self {
+        Self { free, ..Self::default() }
+    }
+
+    /// Sets a field or parameter of a request, or all those of the preset that it names.
+    ///
+    /// # Errors
+    /// As [`Self::set`], and 403 for an option where the caller may give only presets.
+    pub fn take(&mut self, presets: &Presets, name: &str, value: &str) -> Result<(), Problem> {
+        if name == PRESET {
+            return presets.of_photo(value)?.iter().try_for_each(|(name, value)| self.set(name, value));
+        }
+        if self.free || !is_option(name) { self.set(name, value) } else { Err(refused(name)) }
+    }
+
     /// Sets a field or parameter.
     ///
     /// # Errors
@@ -45,6 +64,10 @@ impl UploadFields {
     }
 }
 
+fn is_option(name: &str) -> bool {
+    photo_options::NAMES.contains(&name.replace('_', "-").as_str())
+}
+
 /// Parses a class: `interactive` or `batch`.
 pub fn class_of(name: &str) -> Option<Class> {
     [Class::Interactive, Class::Batch].into_iter().find(|class| class.name() == name)
@@ -55,21 +78,21 @@ pub fn class_of(name: &str) -> Option<Class> {
 /// # Errors
 /// 400 with `kinds` and the options.
 pub fn check_name(name: &str, kinds: &str) -> Result<(), Problem> {
-    if matches!(name, TITLE | VISIBILITY | CLASS) || photo_options::NAMES.contains(&name.replace('_', "-").as_str()) {
+    if matches!(name, TITLE | VISIBILITY | CLASS | PRESET) || is_option(name) {
         return Ok(());
     }
     Err(Problem::parameter(name, format!("there is no such {kinds}, {}", photo_options::NAMES.join(", "))))
 }
 
-/// Reads the fields in a query.
+/// Reads the fields in a query; options besides presets need `free`.
 ///
 /// # Errors
-/// 400 that names the invalid one.
-pub fn of_query(query: &[(String, String)]) -> Result<UploadFields, Problem> {
-    let mut fields = UploadFields::default();
+/// 400 that names the invalid one, 403 that names an option.
+pub fn of_query(presets: &Presets, free: bool, query: &[(String, String)]) -> Result<UploadFields, Problem> {
+    let mut fields = UploadFields::new(free);
     for (name, value) in query {
-        check_name(name, "option; there are title, visibility, class")?;
-        fields.set(name, value)?;
+        check_name(name, "option; there are preset, title, visibility, class")?;
+        fields.take(presets, name, value)?;
     }
     Ok(fields)
 }

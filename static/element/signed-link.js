@@ -2,13 +2,13 @@
 // them: a frame on another site has no cookies.
 
 /**
- * The link's parameters of a query, as `expires=…&signature=…`; '' without them.
+ * The link's parameters of a query, as `expires=…&signature=…`, after `key=…` if an application signed it; '' without them.
  * @param {string} [query]
  */
 export function linkOf(query) {
   const all = new URLSearchParams(query);
-  const [expires, signature] = [all.get('expires'), all.get('signature')];
-  return expires && signature ? `${new URLSearchParams({ expires, signature })}` : '';
+  const [key, expires, signature] = ['key', 'expires', 'signature'].map((name) => all.get(name));
+  return expires && signature ? `${new URLSearchParams({ ...(key && { key }), expires, signature })}` : '';
 }
 
 /**

@@ -9,6 +9,8 @@ use crate::access::plain;
 use crate::key_fixture;
 use crate::open_matrix::{MORE, NONE, address, send, target};
 use crate::prelude::*;
+use crate::proxies::with_users;
+use crate::signed_links::link_to_all;
 
 /// What a caller may do with the requested photo and with the server.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -27,6 +29,8 @@ enum May {
     See,
     /// Nothing with the photo; read the counters.
     Metrics,
+    /// Nothing with the photo; sign links to it.
+    Sign,
     /// Nothing with the photo.
     Nothing,
 }
@@ -84,7 +88,7 @@ impl Caller {
     /// True if it is known as an owner.
     fn is_owner(&self) -> bool {
         let by_bearer = ["tmpi_k_", "tmpi_o_"].iter().any(|prefix| self.sends("authorization", prefix));
-        self.here() || by_bearer || self.sends("cookie", "tmpi_o_") && !self.foreign()
+        self.here() || by_bearer || (self.sends("cookie", "tmpi_o_") || self.sends("remote-user", "")) && !self.foreign()
     }
 
     fn asks_for(self, photo: &str) -> Self {
@@ -120,9 +124,9 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         (_, "/metrics" | "/v1/network") if may != May::Everything => (403, Some("not-yours")),
         // a photo's token is valid for that photo only
         (_, "/v1/photos") if manager => (403, Some("scope")),
-        _ if path.starts_with("/v1/webhooks") && (manager || matches!(may, May::Read | May::Metrics)) => (403, Some("scope")),
-        ("POST", "/v1/photos") if matches!(may, May::Read | May::Metrics) => (403, Some("scope")),
-        ("GET" | "HEAD", "/v1/photos") if matches!(may, May::Upload | May::Metrics) => (403, Some("scope")),
+        _ if path.starts_with("/v1/webhooks") && (manager || matches!(may, May::Read | May::Metrics | May::Sign)) => (403, Some("scope")),
+        ("POST", "/v1/photos") if matches!(may, May::Read | May::Metrics | May::Sign) => (403, Some("scope")),
+        ("GET" | "HEAD", "/v1/photos") if matches!(may, May::Upload | May::Metrics | May::Sign) => (403, Some("scope")),
         _ if foreign && !safe => (403, Some("cross-site")),
         _ if path.starts_with("/v1/webhooks") && !caller.is_owner() => (403, Some("no-owner")),
         ("POST", "/v1/webhooks") => (400, Some("parameter")),
@@ -174,11 +178,13 @@ fn refuses_well(server: &Running, route: &Route, method: &str, caller: &Caller) 
 
 #[test]
 fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
-    let server = private();
+    let server = Running::configured(Arc::new(pipeline()), |config| Config { private: true, proxies: with_users("127.0.0.1"), ..config });
     let ann = secret("a");
     let key = |name: &str, scopes: &[Scope]| key_fixture::add(server.data(), name, scopes);
     let site = key("site", &[Scope::Upload, Scope::Read]);
     let (of_ann, of_site) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&site), 1)));
+    let jane = ("remote-user", "jane".to_owned());
+    let of_jane = id(&ask(&server, "POST", "/v1/photos", &[(jane.0, &jane.1), ("prefer", "wait=60")], &jpeg(1)).json());
     let (taken_link, taken_back) = link(&server, &ann, &of_ann, 600);
     let back = request(server.addr, "DELETE", &format!("/v1/photos/{of_ann}/manage"), &[HOST, ("authorization", &ann)], &[]);
     assert_eq!(back.status, 204);
@@ -198,6 +204,12 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
         caller("a stranger with an expired link", vec![], May::Nothing).linked(&over),
         caller("a stranger with another photo's link", vec![], May::Nothing).linked(&other),
         caller("a stranger with a revoked link", vec![], May::Nothing).linked(&taken_link),
+        caller("a stranger with a link that the owner's key signed", vec![], May::See)
+            .linked(&link_to_all(&key("site", &[Scope::Sign]), &of_site, 600))
+            .asks_for(&of_site),
+        caller("a stranger with a link that another's key signed", vec![], May::Nothing)
+            .linked(&link_to_all(&key("other", &[Scope::Sign]), &of_site, 600))
+            .asks_for(&of_site),
         caller("a caller with the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage),
         caller("a caller with another photo's token", vec![bearer(format!("Bearer {others_token}"))], May::Nothing),
         caller("a caller with a revoked token", vec![bearer(format!("Bearer {taken_back}"))], May::Nothing),
@@ -209,24 +221,29 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
         caller("the owner's key", vec![bearer(site.clone())], May::Own).asks_for(&of_site),
         with_key("the owner's key to upload", Scope::Upload, May::Upload),
         with_key("the owner's key to read", Scope::Read, May::Read),
+        with_key("the owner's key to sign", Scope::Sign, May::Sign),
         with_key("the owner's key to metrics", Scope::Metrics, May::Metrics),
+        caller("the user whom the proxy names", vec![jane.clone()], May::Own).asks_for(&of_jane),
+        caller("another user", vec![("remote-user", "bob".to_owned())], May::Nothing).asks_for(&of_jane),
         caller("an admin's key", vec![bearer(key("boss", &[Scope::Admin]))], May::Everything),
         caller("this machine's own user", vec![], May::Everything),
         foreign("another site", vec![], May::Nothing),
         foreign("another site, the owner's browser", vec![cookie.clone()], May::Nothing),
+        foreign("another site, the user's browser", vec![jane.clone()], May::Nothing).asks_for(&of_jane),
         foreign("another site, own machine's browser", vec![("host", server.addr.to_string())], May::Nothing),
         foreign("another site, a browser with the photo's token", vec![kept], May::Nothing),
         foreign("another site that has the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage),
         foreign("another site that has the secret", vec![bearer(ann.clone())], May::Own),
         rebound("a rebound name", vec![]),
         rebound("a rebound name, the owner's browser", vec![cookie]),
+        rebound("a rebound name, the user's browser", vec![jane.clone()]),
     ];
     let expiring = format!("/v1/photos/{of_ann}?{over}");
     wait_until("the link of one second has expired", || request(server.addr, "GET", &expiring, &[HOST], &[]).status == 404);
     for visibility in ["private", "link"] {
         let shown = visibility == "link";
-        for (who, photo) in [(&ann, &of_ann), (&site, &of_site)] {
-            let headers = [HOST, ("authorization", who), ("content-type", "application/json")];
+        for (who, photo) in [(("authorization", &ann), &of_ann), (("authorization", &site), &of_site), ((jane.0, &jane.1), &of_jane)] {
+            let headers = [HOST, (who.0, who.1.as_str()), ("content-type", "application/json")];
             let body = format!("{{\"visibility\": {visibility:?}}}");
             assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{photo}"), &headers, body.as_bytes()).status, 200);
         }

@@ -6,9 +6,10 @@ use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row as _};
 
 use crate::change_notifications::Event;
-use crate::digest::{Digest, hex};
+use crate::digest::{Digest, hex, unhex};
 use crate::error::{LibraryError, Result};
 use crate::ids::random;
+use crate::link_signatures::Secret;
 use crate::owner::Owner;
 use crate::photo::of_names;
 use crate::string_enum::string_enum;
@@ -28,6 +29,8 @@ string_enum! {
         Upload = "upload",
         /// List and read the owner's photos.
         Read = "read",
+        /// Sign links to the owner's photos.
+        Sign = "sign",
         /// Read the server's metrics.
         Metrics = "metrics",
         /// Everything, on all photos.
@@ -37,7 +40,7 @@ string_enum! {
 
 impl Scope {
     /// All scopes.
-    pub const ALL: [Self; 4] = [Self::Upload, Self::Read, Self::Metrics, Self::Admin];
+    pub const ALL: [Self; 5] = [Self::Upload, Self::Read, Self::Sign, Self::Metrics, Self::Admin];
 }
 
 /// A key, without its secret.
@@ -62,6 +65,12 @@ impl Key {
     /// Whether it has a scope; `Admin` has all.
     pub fn may(&self, scope: Scope) -> bool {
         self.scopes.contains(&scope) || self.scopes.contains(&Scope::Admin)
+    }
+
+    /// The secret that signs its links: the SHA-256 of the key. Its id, which links show, reveals 32 of the 256 bits. `None` without the
+    /// scope [`Scope::Sign`].
+    pub fn link_secret(&self) -> Option<Secret> {
+        unhex(&self.hash).filter(|_| self.may(Scope::Sign)).map(Secret)
     }
 }
 
@@ -139,6 +148,13 @@ impl Library {
         let now = self.now().await?;
         let select = sqlx::query_as("SELECT * FROM keys WHERE hash = $1 AND (expires_at IS NULL OR expires_at > $2)");
         Ok(select.bind(hash).bind(now).fetch_optional(self.database().reader()).await?)
+    }
+
+    /// The unexpired keys with an id; nearly always one at most.
+    pub async fn keys_of_id(&self, id: &str) -> Result<Vec<Key>> {
+        let now = self.now().await?;
+        let select = sqlx::query_as("SELECT * FROM keys WHERE SUBSTR(hash, 1, 8) = $1 AND (expires_at IS NULL OR expires_at > $2)");
+        Ok(select.bind(id).bind(now).fetch_all(self.database().reader()).await?)
     }
 
     /// All keys, by name and age.

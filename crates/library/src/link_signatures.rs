@@ -1,5 +1,6 @@
 //! Signed grants: who holds one has a right on a subject until it expires. None is stored. All have one format, a [`Link`], and are made by
-//! [`Secret::sign`] and checked by [`Secret::allows`]. A photo's grants are signed over its link generation; raising it revokes them.
+//! [`Secret::sign`] and checked by [`Secret::allows`]. A photo's grants are signed over its link generation; raising it revokes them. An
+//! application that has a key signs addresses itself, with the key's own [`Secret`]; [`Secret::has_signed`] checks them.
 
 use std::fmt;
 use std::str::FromStr;
@@ -81,6 +82,12 @@ impl Link {
     pub fn signature(&self) -> String {
         hex(&self.signature)
     }
+
+    /// Whether it has this signature and is valid at `now`. Compares in constant time.
+    fn is_signed(&self, mac: Hmac<Sha256>, now: Millis) -> bool {
+        let in_time = (now.max(0) as u64) / 1000 < self.expires;
+        mac.verify_slice(&self.signature).is_ok() && in_time
+    }
 }
 
 impl fmt::Display for Link {
@@ -100,7 +107,7 @@ impl FromStr for Link {
 
 /// The secret of ids and links: its holder can forge them.
 #[derive(Clone)]
-pub struct Secret([u8; BYTES]);
+pub struct Secret(pub(crate) [u8; BYTES]);
 
 impl fmt::Debug for Secret {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -114,12 +121,17 @@ impl Secret {
         Self(Sha256::digest(key).into())
     }
 
-    /// An HMAC-SHA-256 over `purpose` and `parts`, each preceded by its length.
-    fn mac(&self, purpose: &str, parts: &[&[u8]]) -> Hmac<Sha256> {
+    /// An HMAC-SHA-256 over nothing yet.
+    fn hmac(&self) -> Hmac<Sha256> {
         // RFC 2104 pads a key to a block with zeros
         let mut block = [0; 64];
         block[..BYTES].copy_from_slice(&self.0);
-        let mut mac = Hmac::<Sha256>::new(&block.into());
+        Hmac::<Sha256>::new(&block.into())
+    }
+
+    /// An HMAC-SHA-256 over `purpose` and `parts`, each preceded by its length.
+    fn mac(&self, purpose: &str, parts: &[&[u8]]) -> Hmac<Sha256> {
+        let mut mac = self.hmac();
         for part in [purpose.as_bytes()].iter().chain(parts) {
             mac.update(&(part.len() as u64).to_le_bytes());
             mac.update(part);
@@ -145,10 +157,14 @@ impl Secret {
         Link { expires, signature: self.of_link(grant, subject, expires).finalize().into_bytes().into() }
     }
 
-    /// Whether a link grants access at `now`. Compares the signature in constant time.
+    /// Whether a link grants access at `now`.
     pub fn allows(&self, grant: Grant, subject: Subject<'_>, link: &Link, now: Millis) -> bool {
-        let in_time = (now.max(0) as u64) / 1000 < link.expires;
-        self.of_link(grant, subject, link.expires).verify_slice(&link.signature).is_ok() && in_time
+        link.is_signed(self.of_link(grant, subject, link.expires), now)
+    }
+
+    /// Whether a link signs exactly `text`, which holds the link's expiry, and is valid at `now`.
+    pub fn has_signed(&self, text: &str, link: &Link, now: Millis) -> bool {
+        link.is_signed(self.hmac().chain_update(text), now)
     }
 
     /// A grant that names its owner: `OWNER-EXPIRES-SIGNATURE`.
@@ -200,6 +216,19 @@ mod tests {
         for wrong in ["", "-", "1000", "1000-", "x-00", &format!("{link}0"), &link.to_string()[..link.to_string().len() - 1]] {
             assert!(wrong.parse::<Link>().is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn a_text_is_signed_as_others_sign_it() {
+        // RFC 4231, test case 2, with the key padded as for any HMAC
+        let mut key = [0; BYTES];
+        key[..4].copy_from_slice(b"Jefe");
+        let (secret, text) = (Secret(key), "what do ya want for nothing?");
+        let link = Link::of_signature(1000, "5bdcc146bf60754e6a042426089575c75a003f089d2739839dec58b964ec3843").unwrap();
+        assert!(secret.has_signed(text, &link, 999_999));
+        assert!(!secret.has_signed(text, &link, 1_000_000), "too late");
+        assert!(!secret.has_signed(&text[1..], &link, 0), "another text");
+        assert!(!Secret([7; BYTES]).has_signed(text, &link, 0), "another secret");
     }
 
     #[test]

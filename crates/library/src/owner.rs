@@ -25,6 +25,11 @@ impl Owner {
         Self::of("keys", name)
     }
 
+    /// The user with this name, whom a trusted proxy has logged in.
+    pub fn of_login(name: &str) -> Self {
+        Self::of("login", name)
+    }
+
     /// The user of this machine, who has no quotas.
     pub fn local_user() -> Self {
         Self::of("local", "")
@@ -47,6 +52,7 @@ mod tests {
     #[test]
     fn owners_of_different_kinds_differ() {
         assert_ne!(Owner::of_secret("a"), Owner::of_keys("a"));
+        assert_ne!(Owner::of_login("a"), Owner::of_keys("a"));
         assert_ne!(Owner::of_secret(""), Owner::local_user());
     }
 }

@@ -35,6 +35,10 @@ impl ServeArgs {
         if !self.is_private() && limits.quotas != Quotas::default() {
             return wrong("quotas are for --access private: with --access open, which is the default on loopback, photos have no owners");
         }
+        if !self.is_private() && self.login_header.is_some() {
+            return wrong("--login-header is for --access private: with --access open photos have no owners");
+        }
+        self.presets(&limits)?;
         if self.blobs.is_some() != self.database.is_some() {
             return wrong("--blobs and --database go together: nodes share both");
         }

@@ -38,6 +38,10 @@ fn access_is_private_beyond_loopback_and_with_host_names() {
     assert!(!of(&[]) && !of(&["--addr", "[::1]:80"]), "loopback is open by default");
     assert!(of(&["--addr", "0.0.0.0:80"]) && of(&["--host", "photos.example"]) && of(&["--access", "private"]));
     assert!(!of(&["--addr", "0.0.0.0:80", "--host", "photos.example", "--access", "open"]));
+    let users = ["--trusted-proxies", "127.0.0.1", "--login-header", "Remote-User"];
+    assert!(of(&users) && Cli::try_parse_from([&["serve"], &users[2..]].concat()).is_err(), "only with proxies that are trusted");
+    let open = Cli::try_parse_from([&["serve", "--access", "open"], &users[..]].concat()).unwrap().serve;
+    assert!(open.check().unwrap_err().to_string().contains("--login-header"));
 }
 
 #[test]

@@ -43,6 +43,8 @@ pub enum Caller {
     Key(Key),
     /// Holder of an owner's secret or session, with the value of the browser's cookie.
     Owner(Owner, String),
+    /// A user whom a trusted proxy has logged in.
+    User(Owner),
     /// Holder of a ticket, which can only be exchanged for a session of this owner.
     Ticket(Owner),
     /// Sends only a photo's own token.
@@ -65,7 +67,7 @@ impl Caller {
         match self {
             Self::LocalUser => Some(Owner::local_user()),
             Self::Key(key) => Some(key.owner.clone()),
-            Self::Owner(owner, _) => Some(owner.clone()),
+            Self::Owner(owner, _) | Self::User(owner) => Some(owner.clone()),
             Self::Ticket(_) | Self::Manager | Self::Anonymous => None,
         }
     }

@@ -17,16 +17,19 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderMap, Method, StatusCode, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use tmpi_library::{Grant, KEY_PREFIX, Library, Link, Millis, Owner, Photo, PhotoId, Scope, Subject};
+use tmpi_library::{Grant, KEY_PREFIX, Key, Library, Link, Millis, Owner, Photo, PhotoId, Scope, Subject};
 
+use super::accept_loop::Peer;
 use super::client_slots::client_address;
 use super::cross_site::check_origin;
 use super::hosts::Hosts;
 use super::problem::Problem;
+use super::proxies::Proxies;
 use super::rate_limit::{RateHeaders, RateKey, RateLimiter};
 use super::viewer_settings::{Settings, Visibility};
 use callers::{Caller, bearer, new_secret, owner_of_secret};
 use cookies::{KEPT, LINK, MANAGE, OWNER, cookie, keep_private, set_cookie};
+use link_query::UrlLink;
 pub(super) use link_query::{link_of_url, query_of, take_link};
 use photo_token::{link_of, token_of};
 use route_permissions::{Permission, permission, refusal};
@@ -42,7 +45,9 @@ const TICKET: u64 = 15 * 60;
 pub struct Admission {
     caller: Caller,
     /// The link in the URL, else in the cookie.
-    link: Option<Link>,
+    link: Option<UrlLink>,
+    /// Keys that may have signed it.
+    signers: Vec<Key>,
     /// The URL has a link, even if malformed.
     asked: bool,
     /// A photo's own token.
@@ -80,8 +85,13 @@ impl Guard {
     ///
     /// # Errors
     /// 401, 403, 404 or 405 if the caller has no right to the route, 429 if it sends too many requests.
-    pub async fn admit(&self, hosts: &Hosts, rates: &RateLimiter, request: &mut Request) -> (RateHeaders, Result<Arc<Admission>, Problem>) {
-        let come = self.authenticate(hosts, request).await;
+    pub async fn admit(
+        &self,
+        (hosts, proxies): (&Hosts, &Proxies),
+        rates: &RateLimiter,
+        request: &mut Request,
+    ) -> (RateHeaders, Result<Arc<Admission>, Problem>) {
+        let come = self.authenticate(hosts, proxies, request).await;
         // refused requests count, too
         let key = come.as_ref().ok().and_then(|come| if let Caller::Key(key) = &come.caller { Some(key.name.clone()) } else { None });
         let (told, taken) = rates.count(RateKey::of(key, client_address()), request);
@@ -113,14 +123,14 @@ impl Guard {
             && come.linked.load(Ordering::Relaxed)
             && let Some((id, link)) = opened(&path).zip(come.link.as_ref())
         {
-            let age = link.expires.saturating_sub(seconds(come.at));
-            set_cookie(&mut response, &headers, LINK, &link.to_string(), &format!("/v1/photos/{id}"), age);
+            let age = link.link.expires.saturating_sub(seconds(come.at));
+            set_cookie(&mut response, &headers, LINK, &query_of(link), &format!("/v1/photos/{id}"), age);
         }
         response
     }
 
     /// Identifies the caller, and refuses what needs no photo to decide.
-    async fn authenticate(&self, hosts: &Hosts, request: &mut Request) -> Result<Admission, Problem> {
+    async fn authenticate(&self, hosts: &Hosts, proxies: &Proxies, request: &mut Request) -> Result<Admission, Problem> {
         let route = request.extensions().get::<MatchedPath>().cloned();
         let permission = match &route {
             // 404s and preflights need no rights
@@ -137,7 +147,9 @@ impl Guard {
         let (caller, token) = if permission == Permission::Room {
             (Caller::Anonymous, None)
         } else {
-            self.identify(hosts, request.headers(), request.version()).await?
+            let peer = request.extensions().get::<Peer>();
+            let user = peer.map_or(Ok(None), |peer| proxies.login(peer.0, request.headers()))?;
+            self.identify(hosts, user, request.headers(), request.version()).await?
         };
         match permission {
             Permission::Upload => caller.require_scope(Scope::Upload)?,
@@ -148,16 +160,27 @@ impl Guard {
         }
         let asked = in_url.is_some();
         let link = in_url.unwrap_or_else(|| {
-            let of_cookie = cookie(request.headers(), LINK).and_then(|text| text.parse().ok());
+            let of_cookie = cookie(request.headers(), LINK).and_then(UrlLink::of_query);
             of_cookie.filter(|_| check_origin(request.headers()).is_ok())
         });
+        let signers = match link.as_ref().and_then(|link| link.key.as_deref()) {
+            Some(id) => self.library.keys_of_id(id).await?,
+            None => Vec::new(),
+        };
         let at = if link.is_some() || token.is_some() { self.library.now().await? } else { 0 };
-        Ok(Admission { caller, link, asked, token, at, permission, private: AtomicBool::new(false), linked: AtomicBool::new(false) })
+        let [private, linked] = [const { AtomicBool::new(false) }; 2];
+        Ok(Admission { caller, link, signers, asked, token, at, permission, private, linked })
     }
 
-    /// Reads the caller, and the photo token that it also has, from the headers. A bearer counts alone; otherwise cookies and loopback
-    /// count, unless another site's page made the request.
-    async fn identify(&self, hosts: &Hosts, headers: &HeaderMap, version: Version) -> Result<(Caller, Option<Link>), Problem> {
+    /// Reads the caller, and the photo token that it also has, from the headers. A bearer counts alone; otherwise the logged-in user, loopback
+    /// and cookies count, unless another site's page made the request.
+    async fn identify(
+        &self,
+        hosts: &Hosts,
+        user: Option<Owner>,
+        headers: &HeaderMap,
+        version: Version,
+    ) -> Result<(Caller, Option<Link>), Problem> {
         // other schemes belong to a proxy in front, which forwards its own header
         let mut given = headers.get_all(header::AUTHORIZATION).iter().filter_map(bearer);
         if let Some(text) = given.next() {
@@ -183,6 +206,9 @@ impl Guard {
             return Ok((Caller::Anonymous, None));
         }
         let token = cookie(headers, MANAGE).and_then(link_of);
+        if let Some(user) = user {
+            return Ok((Caller::User(user), token));
+        }
         // unconfigured proxies use HTTP/1.0 and name neither the client nor the requested host
         if hosts.is_own(headers) && version != Version::HTTP_10 {
             return Ok((Caller::LocalUser, token));
@@ -249,15 +275,16 @@ impl Guard {
 
     fn lets(&self, come: &Admission, permission: Permission, photo: &Photo, at: Millis) -> bool {
         let everybodys = || Settings::of(photo).visibility == Some(Visibility::Link);
-        let opens = |grant, link: &Option<Link>| {
-            link.as_ref().is_some_and(|link| self.library.secret().allows(grant, Subject::Photo(photo), link, at))
-        };
+        let secret = self.library.secret();
         match permission {
             Permission::Read if everybodys() => return true,
             Permission::Read | Permission::List if come.has(photo, Scope::Read) => {}
             Permission::Change | Permission::Own if come.has(photo, Scope::Upload) => {}
-            Permission::Read | Permission::Change if opens(Grant::Edit, &come.token) => {}
-            Permission::Read if opens(Grant::View, &come.link) => come.linked.store(true, Ordering::Relaxed),
+            Permission::Read | Permission::Change
+                if come.token.as_ref().is_some_and(|token| secret.allows(Grant::Edit, Subject::Photo(photo), token, at)) => {}
+            Permission::Read if come.link.as_ref().is_some_and(|link| link.opens(photo, secret, &come.signers, at)) => {
+                come.linked.store(true, Ordering::Relaxed);
+            }
             _ => return false,
         }
         come.private.store(true, Ordering::Relaxed);
@@ -267,11 +294,14 @@ impl Guard {
     /// Whether the caller still has access: its key may be revoked, its link expired, or the photo made private meanwhile.
     pub async fn still_allows(&self, come: &Admission, photo: &Photo) -> bool {
         // a failed lookup denies
-        let good = match &come.caller {
+        let mut good = match &come.caller {
             Caller::Key(key) => self.library.is_valid(key).await.unwrap_or(false),
             Caller::Owner(_, kept) => self.owner_of(kept).await.is_ok_and(|found| found.is_some()),
             _ => true,
         };
+        for key in &come.signers {
+            good &= self.library.is_valid(key).await.unwrap_or(false);
+        }
         match self.library.now().await {
             Ok(now) => good && self.lets(come, come.permission, photo, now),
             Err(_) => false,
@@ -306,7 +336,7 @@ impl Guard {
 
     /// Query of a link that can read a photo until `expires`, in seconds since 1970.
     pub fn query(&self, photo: &Photo, expires: u64) -> String {
-        query_of(&self.library.secret().sign(Grant::View, Subject::Photo(photo), expires))
+        query_of(&self.library.secret().sign(Grant::View, Subject::Photo(photo), expires).into())
     }
 
     /// The photo's page with its token after the `#`; anyone with this link can see and change the photo.

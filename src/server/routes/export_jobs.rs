@@ -18,6 +18,7 @@ use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, resp
 use crate::server::content_disposition::content_disposition;
 use crate::server::exports::Recipe;
 use crate::server::finished_photo::FinishedPhoto;
+use crate::server::presets::PRESET;
 use crate::server::problem::Problem;
 use crate::server::program_digest;
 use crate::server::request_body;
@@ -41,6 +42,8 @@ pub struct ExportOrder {
     textures: Option<String>,
     /// The camera's path, `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom`: the file is a film. It takes all parameters of a view.
     path: Option<String>,
+    /// Name of a preset of the server (`--preset`) with `path`, whose options are added to those here.
+    preset: Option<String>,
     /// Frames of a film, 2 to 240.
     frames: Option<u32>,
     /// Width of a film in pixels.
@@ -165,6 +168,7 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
         (status = 202, description = "It waits, or is being written", body = ExportState, headers(
             ("Location" = String, description = "Address of the file's state"), ("Retry-After" = u64, description = "Seconds"))),
         (status = 400, description = "A parameter is wrong; `field` names it"),
+        (status = 403, description = "The server takes only presets; `field` names another option"),
         (status = 409, description = "The photo is not finished yet"),
         (status = 413, description = "The parameters are too large"),
         (status = 415, description = "Neither a form nor JSON"),
@@ -172,7 +176,12 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
     )
 )]
 pub async fn order(State(app): State<App>, PathPhoto(photo): PathPhoto, request: Request) -> Result<Response, Problem> {
-    let pairs = parameters(request).await?;
+    let free = app.takes_options(request.headers());
+    let mut pairs = parameters(request).await?;
+    // the options of other files cost nothing
+    if pairs.iter().any(|(name, _)| name == PRESET || name == "path") {
+        pairs = app.presets.expand(pairs, free)?;
+    }
     let (_, done) = AppState::finished(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();

@@ -49,6 +49,8 @@ pub struct UploadForm {
     title: Option<String>,
     /// Who may see the photo where the server asks who comes: `private` or `link`.
     visibility: Option<String>,
+    /// Name of a preset of the server (`--preset`), whose options are added to those here.
+    preset: Option<String>,
     /// `batch` for a photo of many, which gives way to those of others and to files that are written; else `interactive`. It is no part of what
     /// makes the photo the same.
     class: Option<String>,

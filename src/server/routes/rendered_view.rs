@@ -13,14 +13,19 @@ use crate::server::blocking_pool::WorkClass;
 use crate::server::conditional::insert;
 use crate::server::exports::{Recipe, export_for_client};
 use crate::server::finished_photo::FinishedPhoto;
+use crate::server::limits::Limits;
+use crate::server::link_preview::PICTURE;
+use crate::server::photo_options;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
+use crate::server::viewer_settings::Settings;
 use tmpi_core::{Camera, Scene};
 use tmpi_library::Photo;
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_multiview, encode};
 
 use super::derived_answer::Derived;
 use super::path_photo::PathPhoto;
+use super::query::decode;
 use super::rendered_view_query::ViewQuery;
 
 /// The format that the client prefers; PNG without a preference. `None` if it accepts none.
@@ -67,12 +72,16 @@ fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFo
 /// rendered the view for this request, `Server-Timing` has the times of decoding, rendering and encoding.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/view", tag = "photos",
-    params(ViewQuery),
+    params(
+        ViewQuery,
+        ("preset" = Option<String>, Query, description = "Name of a preset of the server (`--preset`), whose options are added to those here"),
+    ),
     responses(
         (status = 200, description = "The view; PNG and WebP are transparent where nothing is known", content(
             (String = "image/png"), (String = "image/jpeg"), (String = "image/webp"), (String = "image/mpo"), (String = "video/mp4"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it"),
+        (status = 403, description = "The server takes only presets; `field` names another option"),
         (status = 406, description = "The client accepts none of the formats"),
         (status = 409, description = "Not finished yet"),
         (status = 501, description = "There is no ffmpeg for an animation"),
@@ -86,7 +95,9 @@ pub async fn view(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let query = ViewQuery::read(&uri, &app.limits)?;
+    let pairs = decode(&uri)?;
+    let free = app.takes_options(&headers) || is_preview(&photo, &pairs, &app.limits);
+    let query = ViewQuery::of_pairs(app.presets.expand(pairs, free)?, &app.limits)?;
     let (version, done) = AppState::finished(&photo)?;
     let size = query.size((done.width, done.height), &app.limits)?;
     let still = query.film.map(|_| PictureFormat::default());
@@ -124,6 +135,15 @@ pub async fn view(
     let mut response = derived.answer(&headers, stored, content_type, &timing);
     insert(&mut response, header::VARY, "Accept");
     Ok(response)
+}
+
+/// Whether it is a picture of which the server itself gives the address: the photo's poster, or its picture in cards.
+fn is_preview(photo: &Photo, pairs: &[(String, String)], limits: &Limits) -> bool {
+    let Ok(query) = ViewQuery::of_pairs(pairs.to_vec(), limits) else { return false };
+    let pose = Settings::of(photo).poster_pose(&photo_options::view_box_of(&photo.options)).unwrap_or_default();
+    let pose = format!("/view?{}", pose.trim_end_matches('&')).parse().ok().and_then(|uri| ViewQuery::read(&uri, limits).ok());
+    let is_small = query.w.is_some() && [query.w, query.h].into_iter().flatten().all(|side| side <= PICTURE);
+    query.format == Some(PictureFormat::Jpeg) && is_small && pose == Some(query.canonical())
 }
 
 /// Records the times of the phases.

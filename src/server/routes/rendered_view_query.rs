@@ -2,7 +2,7 @@
 
 use axum::http::Uri;
 
-use super::query::Pairs;
+use super::query::{Pairs, decode};
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
@@ -134,7 +134,15 @@ impl ViewQuery {
     /// # Errors
     /// 400 that names the first parameter that is unknown, given twice, not finite or out of range.
     pub fn read(uri: &Uri, limits: &Limits) -> Result<Self, Problem> {
-        Self::of(Pairs::read(uri, &[&NAMES[..], &["v"]].concat())?, limits)
+        Self::of_pairs(decode(uri)?, limits)
+    }
+
+    /// Like [`Self::read`], for parameters that are decoded already.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn of_pairs(pairs: Vec<(String, String)>, limits: &Limits) -> Result<Self, Problem> {
+        Self::of(Pairs::of(pairs, &[&NAMES[..], &["v"]].concat())?, limits)
     }
 
     /// Like [`Self::read`], for the parameters of a film, which has no version.

@@ -43,7 +43,7 @@ pub struct PhotoLink {
 ///
 /// A caller with the link can read the photo and its results until the link expires, but not change them. Its parameters `expires` and
 /// `signature` are valid for any address of this photo and are not part of cache keys. A caller with `manage` can do what the photo's owner
-/// can, except revoke links.
+/// can, except revoke links. An application with a key that has the scope `sign` makes such links without this call.
 #[utoipa::path(
     post, path = "/v1/photos/{id}/links", tag = "photos",
     params(("seconds" = Option<u64>, Query, minimum = 1, maximum = 31_622_400, description = "Lifetime, 1 to 31622400; a day if it is not given. With open access links do not expire, and the parameter is an error")),
@@ -96,7 +96,8 @@ pub async fn keep_token(_: NoQuery, PathPhoto(photo): PathPhoto, headers: Header
 
 /// Revoke all links to a photo.
 ///
-/// The photo's token, also in cookies, and its unexpired links become invalid; you can make new ones. Only for its owner.
+/// The photo's token, also in cookies, and its unexpired links become invalid; you can make new ones. Links that an application signed stay
+/// valid as long as its key. Only for its owner.
 #[utoipa::path(
     delete, path = "/v1/photos/{id}/manage", tag = "photos",
     responses(

@@ -192,8 +192,10 @@ describe('sharing', () => {
     suite.server.state.visibility = 'private';
     const { page, context } = await openPage(suite.browser);
     const signed = `${suite.server.url}/view/box?expires=4102444800&signature=5e`;
+    const byKey = `${suite.server.url}/view/box?key=0123abcd&expires=4102444800&signature=5e`;
     for (const [address, link] of [
       [signed, signed],
+      [byKey, byKey],
       [`${suite.server.url}/view/box`, null],
     ]) {
       await page.goto(address);

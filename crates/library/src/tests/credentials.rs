@@ -18,10 +18,13 @@ async fn keys_can_be_added_expire_and_be_removed(bed: Bed) {
     assert_eq!(found, one.key);
     assert_eq!((found.owner, found.scopes), (two.key.owner.clone(), vec![Scope::Upload, Scope::Read]));
     assert!(two.key.may(Scope::Metrics) && !two.key.may(Scope::Read));
+    assert!(two.key.link_secret().is_none(), "without the scope it signs nothing");
+    assert_eq!(other.keys_of_id(&two.key.id).await.unwrap(), std::slice::from_ref(&two.key));
     assert!(library.find_key(&one.secret[..one.secret.len() - 1]).await.unwrap().is_none());
     assert_eq!(library.keys().await.unwrap().len(), 2);
     later(&bed, &library, day);
     assert!(!library.is_valid(&two.key).await.unwrap() && library.is_valid(&one.key).await.unwrap());
+    assert!(library.keys_of_id(&two.key.id).await.unwrap().is_empty());
     let mut events = library.subscribe();
     assert_eq!(library.remove_keys("site", Some(&one.key.id)).await.unwrap(), 1);
     assert_eq!(events.next().await, Some(Event::Revoked));
