@@ -1,4 +1,4 @@
-//! Measures ghosts: outlines of objects that stay on the background when the view moves.
+//! Measures ghosts: outlines of objects that stay on the background when the view moves, in the object's colour or in any other.
 //!
 //! A camera that moves sideways uncovers the background beside an object. The pixels next to the object's silhouette in the photo then lie
 //! in the open, and their colours are mixed with the object's. The measurement uses only silhouettes in front of a plain background, where
@@ -41,6 +41,9 @@ pub struct Ghosts {
     pub seen: usize,
     /// Levels of the object's colour on the background, at the worst pixel of each silhouette; the sum over all silhouettes.
     pub residue: f64,
+    /// Silhouettes with a visible outline of any colour, for example the bright rim that sharpening leaves: there, the view shows a colour
+    /// more than `SEEN` levels from the background's mean, in at least `ROWS` adjacent rows.
+    pub outlines: usize,
 }
 
 impl Ghosts {
@@ -49,11 +52,17 @@ impl Ghosts {
         self.places += other.places;
         self.seen += other.seen;
         self.residue += other.residue;
+        self.outlines += other.outlines;
     }
 
     /// Share of silhouettes with a visible ghost, 0 to 1.
     pub fn share(&self) -> f64 {
         self.seen as f64 / self.places.max(1) as f64
+    }
+
+    /// Share of silhouettes with a visible outline of any colour, 0 to 1.
+    pub fn outline_share(&self) -> f64 {
+        self.outlines as f64 / self.places.max(1) as f64
     }
 
     /// Mean residue per silhouette, in levels.
@@ -72,36 +81,43 @@ pub struct Subject<'a> {
     pub focal: f64,
 }
 
-/// A silhouette in a row: the column of its first background pixel, and the residue in levels.
+/// A silhouette in a row, and what a view shows beside it, in levels at the worst pixel.
 #[derive(Clone, Copy)]
 struct Silhouette {
+    /// Column of the first background pixel.
     column: usize,
+    /// The object's colour on the background.
     residue: f64,
+    /// Difference from the background's colour.
+    outline: f64,
 }
 
 impl Subject<'_> {
     /// Measures ghosts in a view of the photo's size, whose camera moved sideways by `tx`, in units of the nearest distance.
     pub fn ghosts(&self, view: &[[u8; 3]], tx: f64) -> Ghosts {
         let width = self.photo.width as usize;
-        let rows: Vec<Vec<Silhouette>> = (0..self.photo.height as usize)
-            .map(|y| (0..width).filter_map(|x| Some(Silhouette { column: x, residue: self.residue(view, tx, (x, y))? })).collect())
-            .collect();
+        let rows: Vec<Vec<Silhouette>> =
+            (0..self.photo.height as usize).map(|y| (0..width).filter_map(|x| self.silhouette(view, tx, (x, y))).collect()).collect();
         let mut out = Ghosts::default();
         for (y, row) in rows.iter().enumerate() {
             for silhouette in row {
                 out.places += 1;
                 out.residue += silhouette.residue;
-                let above = chain(rows[..y].iter().rev(), silhouette.column);
-                let below = chain(rows[y + 1..].iter(), silhouette.column);
-                out.seen += usize::from(silhouette.residue > SEEN && above + 1 + below >= ROWS);
+                let is_seen = |levels: fn(&Silhouette) -> f64| {
+                    let above = chain(rows[..y].iter().rev(), silhouette.column, levels);
+                    let below = chain(rows[y + 1..].iter(), silhouette.column, levels);
+                    levels(silhouette) > SEEN && above + 1 + below >= ROWS
+                };
+                out.seen += usize::from(is_seen(|s| s.residue));
+                out.outlines += usize::from(is_seen(|s| s.outline));
             }
         }
         out
     }
 
-    /// Levels of an object's colour on the background that starts at pixel `(x, y)`. `None` if there is no silhouette in front of a plain
+    /// The silhouette of an object before the background that starts at pixel `(x, y)`. `None` if there is none in front of a plain
     /// background, or if the view does not show that background in the open.
-    fn residue(&self, view: &[[u8; 3]], tx: f64, (x, y): (usize, usize)) -> Option<f64> {
+    fn silhouette(&self, view: &[[u8; 3]], tx: f64, (x, y): (usize, usize)) -> Option<Silhouette> {
         let width = self.photo.width as usize;
         let row = y * width..(y + 1) * width;
         let (delta, rgb, view) = (&self.delta[row.clone()], &self.photo.rgb[row.clone()], &view[row]);
@@ -125,7 +141,7 @@ impl Subject<'_> {
         if background.deviation > PLAIN || apart < CONTRAST {
             return None;
         }
-        let mut most = 0.0_f64;
+        let mut found = Silhouette { column: x, residue: 0.0, outline: 0.0 };
         for by in 0..BAND {
             let at = away(by).filter(|&x| delta[x] < middle)?;
             let place = |x: usize| x as f64 + 0.5 - f64::from(delta[x]) * self.focal * tx;
@@ -135,18 +151,20 @@ impl Subject<'_> {
                 return None;
             }
             let shown = sample(view, to - 0.5)?;
-            let dot: f64 = (0..3).map(|c| (shown[c] - background.mean[c]) * along[c]).sum();
-            most = most.max(dot / apart);
+            let off: [f64; 3] = std::array::from_fn(|c| shown[c] - background.mean[c]);
+            let dot: f64 = off.iter().zip(along).map(|(off, along)| off * along).sum();
+            found.residue = found.residue.max(dot / apart);
+            found.outline = found.outline.max(off.iter().map(|v| v * v).sum::<f64>().sqrt());
         }
-        Some(most)
+        Some(found)
     }
 }
 
-/// Number of consecutive rows with a ghost near a column, at most [`ROWS`].
-fn chain<'a>(rows: impl Iterator<Item = &'a Vec<Silhouette>>, mut column: usize) -> usize {
+/// Number of consecutive rows with visible levels near a column, at most [`ROWS`].
+fn chain<'a>(rows: impl Iterator<Item = &'a Vec<Silhouette>>, mut column: usize, levels: fn(&Silhouette) -> f64) -> usize {
     let mut count = 0;
     for row in rows.take(ROWS) {
-        let Some(next) = row.iter().find(|p| p.column.abs_diff(column) <= 2 && p.residue > SEEN) else { break };
+        let Some(next) = row.iter().find(|p| p.column.abs_diff(column) <= 2 && levels(p) > SEEN) else { break };
         column = next.column;
         count += 1;
     }
@@ -237,8 +255,9 @@ mod tests {
     const WALL: [u8; 3] = [200, 190, 180];
     const THING: [u8; 3] = [30, 60, 90];
 
-    /// A dark square at δ 0.75 before a light wall at δ 0.25, and the view from the right: it moves by 12 pixels, the wall by 4.
-    fn view(rim: usize) -> (Photo, Vec<f32>, Vec<[u8; 3]>) {
+    /// A dark square at δ 0.75 before a light wall at δ 0.25, and the view from the right: it moves by 12 pixels, the wall by 4. The wall
+    /// has a rim of `rim` pixels, brighter by `by` levels.
+    fn view(rim: usize, by: i8) -> (Photo, Vec<f32>, Vec<[u8; 3]>) {
         let near = |x: u32, y: u32| (40..80).contains(&x) && (30..90).contains(&y);
         let at = |i: u32| (i % SIDE, i / SIDE);
         let all = SIDE * SIDE;
@@ -250,7 +269,7 @@ mod tests {
             if near(x + 12, y) {
                 THING
             } else if ghost {
-                WALL.map(|c| c - 40)
+                WALL.map(|c| c.saturating_add_signed(by))
             } else {
                 WALL
             }
@@ -259,26 +278,32 @@ mod tests {
         (Photo { width: SIDE, height: SIDE, rgb }, delta, seen)
     }
 
-    fn found(rim: usize) -> Ghosts {
-        let (photo, delta, seen) = view(rim);
+    fn found(rim: usize, by: i8) -> Ghosts {
+        let (photo, delta, seen) = view(rim, by);
         Subject { photo: &photo, delta: &delta, focal: 160.0 }.ghosts(&seen, 0.1)
     }
 
     #[test]
     fn a_planted_ghost_is_seen_and_none_is_seen_without() {
-        let clean = found(0);
-        assert!(clean.places == 60 && clean.seen == 0 && clean.mean() < 1.0, "{clean:?}");
-        let ghost = found(1);
-        assert!(ghost.seen == 60 && ghost.mean() > 40.0, "{ghost:?}");
+        let clean = found(0, 0);
+        assert!(clean.places == 60 && clean.seen == 0 && clean.outlines == 0 && clean.mean() < 1.0, "{clean:?}");
+        let ghost = found(1, -40);
+        assert!(ghost.seen == 60 && ghost.outlines == 60 && ghost.mean() > 40.0, "{ghost:?}");
+    }
+
+    #[test]
+    fn a_rim_unlike_the_object_is_an_outline_but_no_ghost() {
+        let rim = found(1, 40);
+        assert!(rim.seen == 0 && rim.outlines == 60 && rim.mean() < 1.0, "{rim:?}");
     }
 
     #[test]
     fn spots_that_are_no_outline_are_not_seen() {
-        let (photo, delta, mut seen) = view(0);
+        let (photo, delta, mut seen) = view(0, 0);
         for y in (30..90).step_by(4) {
             seen[y * SIDE as usize + 77] = THING;
         }
         let found = Subject { photo: &photo, delta: &delta, focal: 160.0 }.ghosts(&seen, 0.1);
-        assert!(found.seen == 0 && found.mean() > 10.0, "{found:?}");
+        assert!(found.seen == 0 && found.outlines == 0 && found.mean() > 10.0, "{found:?}");
     }
 }

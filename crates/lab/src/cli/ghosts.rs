@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use super::{note, result};
 use tmpi_lab::files;
-use tmpi_lab::ghosts::{self, Pair};
-use tmpi_lab::table::{row, table};
+use tmpi_lab::ghosts::{self, Ghosts, Pair};
+use tmpi_lab::table::table;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
@@ -40,11 +40,14 @@ pub(super) fn run(args: &GhostArgs) -> anyhow::Result<()> {
     if args.json {
         return result(&serde_json::to_string_pretty(&rows)?);
     }
-    let mut lines = vec![row(["", "places", "without matting: seen, %", "residue, levels", "with: seen, %", "residue, levels"])];
+    let heads = ["seen, %", "outlines of any colour, %", "residue, levels"];
+    let [without, with] = ["without matting: ", "with: "].map(|how| heads.map(|head| format!("{how}{head}")).to_vec());
+    let mut lines = vec![[vec![String::new(), "places".into()], without, with].concat()];
     lines.extend(rows.into_iter().map(|(name, Pair { unmatted, made })| {
-        let [[seen, residue], [seen_matted, residue_matted]] =
-            [unmatted, made].map(|g| [format!("{:.1}", 100.0 * g.share()), format!("{:.2}", g.mean())]);
-        vec![name, unmatted.places.to_string(), seen, residue, seen_matted, residue_matted]
+        let [without, with] = [unmatted, made].map(|g: Ghosts| {
+            [format!("{:.1}", 100.0 * g.share()), format!("{:.1}", 100.0 * g.outline_share()), format!("{:.2}", g.mean())].to_vec()
+        });
+        [vec![name, unmatted.places.to_string()], without, with].concat()
     }));
     result(table(1, &lines).trim_end())
 }
