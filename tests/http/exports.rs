@@ -125,7 +125,7 @@ fn files_make_room_for_others_and_expire_without_downloads() {
     let first = written(server.addr, &photo, "format=glb");
     written(server.addr, &photo, "format=zip");
     get(server.addr, first["links"]["self"].as_str().unwrap()).problem(404);
-    assert_eq!(files(server.data()), 1);
+    wait_until("the first file is deleted", || files(server.data()) == 1);
     let (server, photo) = start(keeping(Exports { bytes: glb.min(zip) - 1, ..Exports::default() }));
     let ordered = order(server.addr, &photo, "format=glb");
     let failed = ended(server.addr, ordered.header("location").unwrap(), "failed");
