@@ -116,10 +116,11 @@ export interface TmpiViewerElement extends HTMLElement {
   /** State of the room; empty for a photo. */
   readonly state: RoomState | '';
   /**
-   * True while a room's sound is played. The attribute `sound="off"` removes the sound button; without a value, sound starts with the first
-   * tap or key.
+   * Whether a room's sound is played. Setting it sets the attribute: `off` removes the sound button; without a value, sound starts with the
+   * first tap or key.
    */
-  readonly sound: boolean;
+  get sound(): boolean;
+  set sound(on: boolean | string | null | undefined);
   /** Turns a room's sound on or off. Turn it on only from a tap. Rejects if the browser does not allow it, or without a room. */
   setSound(on: boolean): Promise<void>;
   addEventListener<K extends keyof TmpiViewerEvents>(

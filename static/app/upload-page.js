@@ -9,6 +9,7 @@ import { $ } from './dom.js';
 import { filesOf } from './drop.js';
 import { isUnderWay } from './follow-photo.js';
 import { refreshSoon, remove, startGallery } from './gallery.js';
+import { takeShared } from './installed.js';
 import { forgetName, photoName } from './photo-name.js';
 import { freshName, publishPage } from './room-name.js';
 import { forgetRow, resume, startUploads, upload } from './uploads.js';
@@ -102,6 +103,7 @@ startUploads({
     forget(id);
   },
 });
+takeShared().then((files) => files.length && take(files.map((file) => ({ file }))));
 const deleted = handedOver();
 startGallery(forget).then((page) => {
   for (const photo of page?.photos ?? []) if (isUnderWay(photo)) resume(photo, photoName(photo));

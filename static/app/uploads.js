@@ -5,6 +5,7 @@ import { t } from '../i18n/messages.js';
 import { prepared } from './convert.js';
 import { $, element } from './dom.js';
 import { followPhoto } from './follow-photo.js';
+import { mayAsk, notify } from './installed.js';
 import { uploadPhoto } from './upload-photo.js';
 import { Row } from './upload-row.js';
 
@@ -50,6 +51,10 @@ export function startUploads(own) {
   page = own;
   $('uploads-cancel').addEventListener('click', () => {
     for (const row of [...rows].reverse()) if (row.kind === 'open') row.onClose?.();
+  });
+  $('uploads-notify').addEventListener('click', async () => {
+    await Notification.requestPermission();
+    arrangeSoon();
   });
   $('uploads-dismiss').addEventListener('click', () => {
     for (const row of rows) if (row.kind === 'failed') row.remove();
@@ -213,6 +218,7 @@ function followNext() {
         ready++;
         row.done(photo.id);
         page.made();
+        tell(row.name, photo.id);
       }),
       failed: (message) => then(() => row.fail(message))(),
       deleted: then(() => row.remove()),
@@ -222,6 +228,22 @@ function followNext() {
       remove(photo.id, row);
     });
   }
+}
+
+/** Number of photos that are ready or under way, since none was. */
+function allOf() {
+  return ready + [...rows].filter((row) => row.kind === 'open').length;
+}
+
+/**
+ * Tells the user that a photo is ready.
+ * @param {string} name
+ * @param {string} id
+ */
+function tell(name, id) {
+  const all = allOf();
+  if (all > 1) notify(t('{0} of {1} ready', ready, all), '/');
+  else notify(t('{0} is ready.', name), `/view/${encodeURIComponent(id)}`);
 }
 
 /**
@@ -260,7 +282,7 @@ function arrange() {
   if (done.length) folding = setTimeout(fold, FOLD_MS);
   open.forEach((row, i) => (row.shown = i < SEEN));
   for (const row of [...done, ...failed]) row.shown = true;
-  const all = ready + open.length;
+  const all = allOf();
   const more = Math.max(0, open.length - SEEN);
   const share = all ? (ready + open.reduce((sum, row) => sum + row.share, 0)) / all : 0;
   $('uploads').hidden = rows.size === 0;
@@ -272,6 +294,7 @@ function arrange() {
   );
   $('uploads-more').hidden = !more;
   $('uploads-more-text').textContent = t('and {0} more', more);
+  $('uploads-notify').hidden = !open.length || !mayAsk();
   $('uploads-dismiss').hidden = failed.length < 2;
   document.title = open.length && all > 1 ? `${t('{0} of {1}', ready, all)} – tmpi` : pageTitle;
 }

@@ -4,6 +4,7 @@ import { decimal, formatBytes, queueText, sentence, stageText } from '../i18n/fo
 import { t, translatePage } from '../i18n/messages.js';
 import { hasGyroscope } from '../input/gyroscope.js';
 import { hasHeadset } from '../input/xr.js';
+import { EYES } from '../view/camera.js';
 import { settingsOf } from '../view/settings.js';
 import { Viewer } from '../view/viewer.js';
 import './secret-link.js';
@@ -139,6 +140,7 @@ async function start() {
   viewer.addEventListener('frame', ({ detail }) => {
     state.ms = detail.ms;
     readout();
+    showNarrowed();
   });
   viewer.addEventListener('pose', readout);
   viewer.addEventListener('idle', ({ detail }) => showIdle(detail.on));
@@ -172,10 +174,21 @@ async function toggleFullscreen() {
   }
 }
 
+/** Says that the eyes are closer together than the user set them. */
+function showNarrowed() {
+  const text = viewer.eyesNarrowed
+    ? t('Closer together than set: what the eyes see would be more than 3 % of the width apart, which strains them.')
+    : '';
+  if ($('eyes-hint').textContent !== text) $('eyes-hint').textContent = text;
+}
+
 /** Applies the menu's settings to a new viewer. */
 function applyMenu() {
   viewer.overlay = document.querySelector(/** @type {'input'} */ ('input[name=overlay]:checked'))?.value ?? 'none';
-  viewer.stereo = $('stereo', HTMLInputElement).checked;
+  viewer.stereo = $('stereo', HTMLSelectElement).value;
+  viewer.eyeDistance = EYES * Number($('eyes', HTMLInputElement).value);
+  $('eyes-label').hidden = !viewer.stereo;
+  showNarrowed();
   viewer.blur = Number($('blur', HTMLInputElement).value);
   $('blur-hint').hidden = !viewer.blur;
 }
@@ -304,6 +317,7 @@ tilt.addEventListener('change', async () => {
 });
 offerTilt();
 document.addEventListener('keydown', onKey);
+$('eyes').addEventListener('input', applyMenu);
 $('blur').addEventListener('input', () => {
   applyMenu();
   // drawing a moving picture with blur may be too slow to show the change

@@ -6,6 +6,8 @@ import { extrinsics } from '../view/camera.js';
 
 /** Vertices of an instance, as in tmpi.wgsl. */
 export const VERTICES = 18;
+/** The mask of a view that draws all colour channels. */
+export const ALL = 7;
 /** Size of the uniform, bytes. */
 export const UNIFORM_BYTES = 112;
 

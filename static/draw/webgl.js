@@ -3,7 +3,7 @@ import { WebGlMean } from './depth-of-field/mean-webgl.js';
 import { COPY_FRAGMENT, COPY_VERTEX, OPAQUE_FRAGMENT, SCENE_VERTEX, SOFT_FRAGMENT } from './glsl.js';
 import { INSTANCE_FLOATS, withErrors } from './instances.js';
 import { checkFit, upload } from './texture-atlas.js';
-import { looksBackward, UNIFORM_BYTES, VERTICES, viewUniform } from './view-uniform.js';
+import { ALL, looksBackward, UNIFORM_BYTES, VERTICES, viewUniform } from './view-uniform.js';
 import { copier } from './webgl-copy.js';
 import { begin, built } from './webgl-program.js';
 import { hasHalfFloatTargets, WebGlTarget } from './webgl-target.js';
@@ -221,8 +221,10 @@ export class WebGlRenderer {
     gl.clearColor(0, 0, 0, 0);
     gl.clearDepth(0);
     gl.depthMask(true);
+    const { mask = ALL } = view;
     gl.clear(first ? gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT : gl.DEPTH_BUFFER_BIT);
     gl.bufferSubData(gl.UNIFORM_BUFFER, 0, viewUniform(this.#scene, view, nearOf, this.overlay));
+    gl.colorMask(Boolean(mask & 1), Boolean(mask & 2), Boolean(mask & 4), true);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.GEQUAL);
     gl.disable(gl.BLEND);
@@ -231,6 +233,7 @@ export class WebGlRenderer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);
     this.#drawFrom(this.#loaded.soft, opaque + (looksBackward(view) ? soft : 0), soft);
+    gl.colorMask(true, true, true, true);
   }
 
   /**

@@ -3,7 +3,7 @@ import { WebGpuMean } from './depth-of-field/mean-webgpu.js';
 import { acquireDevice } from './device.js';
 import { INSTANCE_FLOATS, withErrors } from './instances.js';
 import { checkFit, upload } from './texture-atlas.js';
-import { looksBackward, UNIFORM_BYTES, VERTICES, viewUniform } from './view-uniform.js';
+import { ALL, looksBackward, UNIFORM_BYTES, VERTICES, viewUniform } from './view-uniform.js';
 import { copyPipeline, copyTexture } from './webgpu-copy.js';
 
 /** @import { Intrinsics, Scene } from '../decode/scene.js' */
@@ -244,8 +244,9 @@ export class WebGpuRenderer {
    */
   #pass(texture, depth, view, first) {
     const { device } = this;
-    const { uniforms, bindings, passes } = this.#loaded;
+    const { uniforms, bindings, passesFor } = this.#loaded;
     if (!this.#instances) return;
+    const passes = passesFor(view.mask ?? ALL);
     const { buffer, opaque, soft } = this.#instances;
     device.queue.writeBuffer(
       uniforms,
@@ -286,7 +287,17 @@ async function load(shared, scene) {
   checkFit(scene.atlas, most);
   const target = wide ? WIDE_FORMAT : format;
   const { scene: module, copy, layout } = await shared.once('shaders', () => shadersOf(device));
-  const passes = await shared.once(target, () => passesOf(device, module, layout, target));
+  /** @type {Map<number, Passes>} */
+  const passes = new Map([[ALL, await shared.once(target, () => passesOf(device, module, layout, target))]]);
+  /** The passes that draw some of the channels. */
+  const passesFor = (/** @type {number} */ mask) => {
+    const known = passes.get(mask);
+    if (known) return known;
+    const { opaque, soft } = pipelines(device, module, layout, target, mask);
+    const made = { opaque: device.createRenderPipeline(opaque), soft: device.createRenderPipeline(soft) };
+    passes.set(mask, made);
+    return made;
+  };
   const uniforms = device.createBuffer({ size: UNIFORM_BYTES, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
   const atlas = device.createTexture({
     size: [width, height, pages],
@@ -315,7 +326,7 @@ async function load(shared, scene) {
     ],
   });
   const round = copyPipeline(device, copy, format);
-  return { format, target, wide, atlas, uniforms, bindings, passes, copy, round, dispose };
+  return { format, target, wide, atlas, uniforms, bindings, passesFor, copy, round, dispose };
 }
 
 /** @param {URL} address */
@@ -353,6 +364,20 @@ async function shadersOf(device) {
  * @returns {Promise<Passes>}
  */
 async function passesOf(device, module, bindings, format) {
+  const described = pipelines(device, module, bindings, format, ALL);
+  const [opaque, soft] = await Promise.all([described.opaque, described.soft].map((one) => device.createRenderPipelineAsync(one)));
+  return { opaque, soft };
+}
+
+/**
+ * Describes the pipelines of pass 1 and pass 2 that draw the channels of `mask` (view/camera.js).
+ * @param {GPUDevice} device
+ * @param {GPUShaderModule} module
+ * @param {GPUBindGroupLayout} bindings
+ * @param {GPUTextureFormat} format
+ * @param {number} mask
+ */
+function pipelines(device, module, bindings, format, mask) {
   const layout = device.createPipelineLayout({ bindGroupLayouts: [bindings] });
   /** @type {GPUBlendComponent} */
   const over = { srcFactor: 'one', dstFactor: 'one-minus-src-alpha', operation: 'add' };
@@ -363,15 +388,14 @@ async function passesOf(device, module, bindings, format) {
     /** @type {boolean} */ depthWriteEnabled,
     /** @type {GPUBlendState | undefined} */ blend = undefined,
   ) =>
-    device.createRenderPipelineAsync({
+    /** @type {GPURenderPipelineDescriptor} */ ({
       layout,
       vertex: { module, entryPoint: 'vs', buffers: [{ arrayStride: INSTANCE_BYTES, stepMode: 'instance', attributes }] },
-      fragment: { module, entryPoint, targets: [{ format, ...(blend && { blend }) }] },
+      fragment: { module, entryPoint, targets: [{ format, writeMask: mask | GPUColorWrite.ALPHA, ...(blend && { blend }) }] },
       primitive: { topology: 'triangle-list', cullMode: 'none' },
       depthStencil: { format: DEPTH_FORMAT, depthWriteEnabled, depthCompare: 'greater-equal' },
     });
-  const [opaque, soft] = await Promise.all([pipeline('fs_opaque', true), pipeline('fs_soft', false, { color: over, alpha: over })]);
-  return { opaque, soft };
+  return { opaque: pipeline('fs_opaque', true), soft: pipeline('fs_soft', false, { color: over, alpha: over }) };
 }
 
 /**

@@ -136,6 +136,11 @@ class TmpiViewer extends HTMLElement {
     return this.#room?.sound ?? false;
   }
 
+  /** Sets the attribute of that name: React sets a property if there is one. */
+  set sound(/** @type {boolean | string | null | undefined} */ value) {
+    setSwitch(this, 'sound', value);
+  }
+
   /**
    * Turns a room's sound on or off. Turn it on only from a tap.
    * @param {boolean} on
@@ -169,36 +174,48 @@ class TmpiViewer extends HTMLElement {
   /** `moveBefore` moved it within the page: nothing changes. */
   connectedMoveCallback() {}
 
+  /** To sort a list or change an element's parent, scripts remove it and insert it again at once: then it goes on. */
   disconnectedCallback() {
     this.#reduced.removeEventListener('change', this.#onReduced);
     this.#seen?.disconnect();
     this.#seen = this.#visible = null;
-    this.#asked = false;
-    this.#stop();
+    queueMicrotask(() => {
+      if (this.isConnected) return;
+      this.#asked = false;
+      this.#stop();
+    });
   }
 
   #onReduced = () => this.#viewer?.setIdle(this.#movesByItself);
 
   /** Properties set before the script loaded hide the element's own. */
   #takeOver() {
-    for (const name of [...PROPERTIES, ...Object.entries(SWITCHES).flat()].filter((name) => Object.hasOwn(this, name))) {
+    for (const name of [...PROPERTIES, 'sound', ...Object.entries(SWITCHES).flat()].filter((name) => Object.hasOwn(this, name))) {
       const value = Reflect.get(this, name);
       Reflect.deleteProperty(this, name);
       Reflect.set(this, name, value);
     }
   }
 
-  /** @param {string} name */
-  attributeChangedCallback(name) {
-    if (!this.#seen) return;
-    this.#describe();
+  /**
+   * @param {string} name
+   * @param {string | null} old
+   * @param {string | null} value
+   */
+  attributeChangedCallback(name, old, value) {
+    // frameworks may set a value again
+    if (old === value) return;
     if (name === 'still' || name === 'auto-rotate') this.#viewer?.setIdle(this.#movesByItself);
     if ((name === 'motion' || name === 'speed') && this.#viewer) this.#viewer.settings = { ...this.#viewer.settings, ...this.#wander };
     if (ADDRESS.has(name)) {
       this.#stop();
-      if (this.#asked) this.#start();
+      // it has left the page: wherever it comes back to decides
+      if (!this.#seen) this.#asked = false;
     }
-    this.#maybeStart();
+    if (!this.#seen) return;
+    this.#describe();
+    if (ADDRESS.has(name) && this.#asked) this.#start();
+    else this.#maybeStart();
   }
 
   /** Address to show, and whether it is a room; null without one. */
@@ -373,6 +390,17 @@ function parsed(address) {
   }
 }
 
+/**
+ * Sets an attribute that is on or off, or removes it.
+ * @param {HTMLElement} element
+ * @param {string} attribute
+ * @param {boolean | string | null | undefined} value
+ */
+function setSwitch(element, attribute, value) {
+  if (value === null || value === undefined) element.removeAttribute(attribute);
+  else element.setAttribute(attribute, value === true ? '' : value === false ? 'off' : String(value));
+}
+
 for (const [attribute, name] of Object.entries(SWITCHES)) {
   const defaultValue = attribute !== 'still';
   /** @type {PropertyDescriptor & ThisType<TmpiViewer>} */
@@ -384,8 +412,7 @@ for (const [attribute, name] of Object.entries(SWITCHES)) {
       return value === null ? defaultValue : !OFF.has(value);
     },
     set(value) {
-      if (value === null || value === undefined) this.removeAttribute(attribute);
-      else this.setAttribute(attribute, value === true ? '' : value === false ? 'off' : String(value));
+      setSwitch(this, attribute, value);
     },
   };
   for (const key of new Set([attribute, name])) Object.defineProperty(TmpiViewer.prototype, key, property);

@@ -5,8 +5,9 @@
 
 /** @typedef {{tx: number, ty: number, tz: number, yaw: number, pitch: number, roll: number}} Pose */
 /**
- * A camera and the viewport of its picture on a canvas.
- * @typedef {{pose: Pose, k: Intrinsics, x: number, y?: number, width: number, height: number}} View
+ * A camera and the viewport of its picture on a canvas; `mask`: the colour channels that it draws, as bits (1 red, 2 green, 4 blue), by
+ * default all.
+ * @typedef {{pose: Pose, k: Intrinsics, x: number, y?: number, width: number, height: number, mask?: number}} View
  */
 
 /** @type {Readonly<Pose>} */
@@ -145,19 +146,48 @@ export function deltaAt({ layers, tileSize }, i, x, y) {
 
 /** Distance between the eyes in units of the nearest distance, as in the server's stereo views. */
 export const EYES = 1 / 30;
+/** Most parallax between the eyes, as a share of the view's width: more strains them. */
+const COMFORT = 0.03;
+
+const [RED, GREEN, BLUE] = [1, 2, 4];
+/**
+ * For each stereo layout of the server that the browser draws, the column and the channels of the left and of the right eye's view.
+ * @type {Record<string, {column: number, mask?: number}[]>}
+ */
+const LAYOUTS = {
+  sbs: [{ column: 0 }, { column: 1 }],
+  crossed: [{ column: 1 }, { column: 0 }],
+  anaglyph: [RED, GREEN | BLUE].map((mask) => ({ column: 0, mask })),
+  'anaglyph-green-magenta': [GREEN, RED | BLUE].map((mask) => ({ column: 0, mask })),
+  'anaglyph-amber-blue': [RED | GREEN, BLUE].map((mask) => ({ column: 0, mask })),
+};
 
 /**
- * The views of both eyes, side by side on a canvas of `size`. Points at disparity `focus` appear at the depth of the screen.
+ * Number of views beside each other.
+ * @param {string} layout a stereo layout, or '' for one view
+ */
+export const columnsOf = (layout) => Math.max(...(LAYOUTS[layout] ?? [{ column: 0 }]).map(({ column }) => column)) + 1;
+
+/**
+ * The views of both eyes on a canvas of `size`, and whether the eyes are closer together than asked because more parallax would strain
+ * them. Points at disparity `focus` appear at the depth of the screen.
  * @param {Pose} pose
  * @param {SceneHead} head
  * @param {{width: number, height: number}} size
  * @param {number} focus
- * @param {Frame} [frame]
+ * @param {Frame} frame
+ * @param {{layout: string, distance: number}} stereo `distance`: between the eyes, in units of the nearest distance
  */
-export function eyes(pose, head, size, focus, frame = WHOLE) {
-  const [width, height] = [Math.floor(size.width / 2), size.height];
+export function eyes(pose, head, size, focus, frame, { layout, distance }) {
+  const [width, height] = [Math.floor(size.width / columnsOf(layout)), size.height];
   const k = framed(head, { width, height }, frame);
-  return [-EYES / 2, EYES / 2].map((shift, i) => shifted({ pose, k, x: i * width, width, height }, [shift, 0], focus));
+  // the nearest disparity is 1, the farthest 0
+  const most = (COMFORT * width) / (k.fx * Math.max(focus, 1 - focus));
+  const apart = Math.min(distance, most);
+  const views = LAYOUTS[layout].map(({ column, mask }, i) =>
+    shifted({ pose, k, x: column * width, width, height, mask }, [(i - 0.5) * apart, 0], focus),
+  );
+  return { views, narrowed: distance > most };
 }
 
 /**

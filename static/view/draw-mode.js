@@ -2,7 +2,7 @@
 
 import { DepthOfField } from '../draw/depth-of-field/aperture.js';
 import { TileErrors } from '../draw/tile-errors.js';
-import { eyes, framed } from './camera.js';
+import { EYES, eyes, framed } from './camera.js';
 
 /** @import { SceneHead } from '../decode/scene.js' */
 /** @import { WebGlRenderer } from '../draw/webgl.js' */
@@ -20,7 +20,12 @@ export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes', 'erro
 
 export class DrawMode {
   overlay = 'none';
-  stereo = false;
+  /** Layout of both eyes' views (camera.js), or '' for one view. */
+  stereo = '';
+  /** Distance between the eyes, in units of the nearest distance. */
+  eyeDistance = EYES;
+  /** Whether the last picture's eyes were closer together than that. */
+  narrowed = false;
   depthOfField = new DepthOfField();
   #errors;
 
@@ -47,11 +52,23 @@ export class DrawMode {
    * @param {Seen & {canvas: {width: number, height: number}, moving: boolean}} seen
    */
   draw(renderer, { pose, head, canvas, pivot, moving, frame }) {
-    const { width, height } = canvas;
-    const views = this.stereo ? eyes(pose, head, canvas, pivot, frame) : [{ pose, k: framed(head, canvas, frame), x: 0, width, height }];
+    const views = this.#views({ pose, head, pivot, frame }, canvas);
     if (this.depthOfField.on) return this.depthOfField.draw(renderer, views, pivot, moving);
     renderer.draw(views);
     return 1;
+  }
+
+  /**
+   * @param {Seen} seen
+   * @param {{width: number, height: number}} canvas
+   */
+  #views({ pose, head, pivot, frame }, canvas) {
+    const { width, height } = canvas;
+    this.narrowed = false;
+    if (!this.stereo) return [{ pose, k: framed(head, canvas, frame), x: 0, width, height }];
+    const { views, narrowed } = eyes(pose, head, canvas, pivot, frame, { layout: this.stereo, distance: this.eyeDistance });
+    this.narrowed = narrowed;
+    return views;
   }
 
   /** True if the scene is drawn without overlay, stereo or depth of field, so that finer parts may be drawn over it. */

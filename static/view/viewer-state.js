@@ -142,14 +142,29 @@ export class ViewerState extends EventTarget {
     this.render();
   }
 
-  /** Whether to draw a view for each eye, side by side; has no effect if the server draws. */
+  /** How to draw a view for each eye: a stereo layout (camera.js), or '' for one view; has no effect if the server draws. */
   get stereo() {
     return this.drawMode.stereo;
   }
 
-  set stereo(on) {
-    this.drawMode.stereo = on;
+  set stereo(layout) {
+    this.drawMode.stereo = layout;
     this.layout();
+  }
+
+  /** Distance between the eyes, in units of the nearest distance. */
+  get eyeDistance() {
+    return this.drawMode.eyeDistance;
+  }
+
+  set eyeDistance(distance) {
+    this.drawMode.eyeDistance = distance;
+    this.render();
+  }
+
+  /** True if the eyes are closer together than that, because more parallax would strain them. */
+  get eyesNarrowed() {
+    return this.drawMode.narrowed;
   }
 
   /** Strength of the depth of field, 0 to 1; has no effect if the server draws. */

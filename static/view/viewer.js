@@ -15,7 +15,7 @@ import { ServerViews } from '../draw/server-views.js';
 import { insistOnContext, leaveContext, lendContext } from '../draw/webgl-contexts.js';
 import { listen } from '../input/gestures.js';
 import { AdaptiveResolution } from './adaptive-resolution.js';
-import { fovX, resized } from './camera.js';
+import { columnsOf, fovX, resized } from './camera.js';
 import { pixelRatio, setPixels } from './canvas-size.js';
 import { Detail } from './detail.js';
 import { LiveView } from './live-view.js';
@@ -414,7 +414,7 @@ export class Viewer extends ViewerState {
   /** Fits the whole pictures into the root element, in the photo's aspect ratio. */
   layout() {
     if (!this.head || this.disposed) return;
-    const fit = this.#stage.fit((this.head.width / this.head.height) * (this.stereo && this.renderer ? 2 : 1));
+    const fit = this.#stage.fit((this.head.width / this.head.height) * (this.renderer ? columnsOf(this.stereo) : 1));
     if (!fit) return;
     this.lens.measure(this.#stage.size, fit, (this.#fullSize ?? this.head).width / (fit.width * (devicePixelRatio || 1)));
     const { size, frame } = this.lens;

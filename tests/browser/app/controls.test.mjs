@@ -107,11 +107,17 @@ describe('every control', () => {
         assert.ok(!(await viewer((v) => v.idle)));
       },
       'button: Show': opensMenu($('show'), 'show-menu'),
-      'input: Side by side for stereo viewers': async () => {
-        await $('stereo').check();
-        assert.ok(await viewer((v) => v.stereo));
-        await $('stereo').uncheck();
-        assert.ok(!(await viewer((v) => v.stereo)));
+      'select: For both eyes': async () => {
+        assert.ok(await $('eyes').isHidden());
+        await $('stereo').selectOption('crossed');
+        assert.equal(await viewer((v) => v.stereo), 'crossed');
+      },
+      'input: Distance between the eyes': async () => {
+        await $('eyes').fill('2');
+        assert.equal(await viewer((v) => v.eyeDistance), 2 / 30);
+        await $('stereo').selectOption('');
+        assert.ok(await $('eyes').isHidden());
+        assert.equal(await viewer((v) => v.stereo), '');
       },
       'input: Move by tilting the device': async () => {
         await $('tilt').check();
@@ -463,6 +469,8 @@ describe('every control', () => {
         assert.equal(await page.getByRole('checkbox').count(), 0);
       },
       'button: Cancel all': async () => assert.ok(await $('uploads-cancel').isHidden()),
+      // installed.test.mjs presses it
+      'button: Notify me': async () => assert.ok(await $('uploads-notify').isHidden()),
       'button: Dismiss failed': async () => assert.ok(await $('uploads-dismiss').isHidden()),
       'a: Go live with your camera': async () =>
         assert.match(await page.locator('#go-live').getAttribute('href'), /^\/live\/[a-z]{8}\/publish$/),

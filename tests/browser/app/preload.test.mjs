@@ -41,6 +41,7 @@ describe('modules', () => {
   test('every module is used', () => {
     const roots = [
       'app/upload-page.js',
+      'app/share-worker.js',
       'app/view-page.js',
       // loaded on demand
       'app/touch-up.js',

@@ -14,6 +14,8 @@ const TYPES = {
   '.wasm': 'application/wasm',
   '.wgsl': 'text/wgsl',
   '.tmpi': 'application/vnd.tmpi',
+  '.json': 'application/json',
+  '.png': 'image/png',
 };
 /** Files that the server serves at other paths. */
 const PAGES = { '/': 'app/upload-page.html', '/tmpi-viewer.js': 'element/tmpi-viewer.js' };

@@ -10,7 +10,7 @@ const HOME = {};
 describe('draw mode', () => {
   const suite = boxSuite();
 
-  test('the menu shows depth, tiles, planes and stereo', async () => {
+  test('the menu shows depth, tiles and planes', async () => {
     const { page, context, errors } = await suite.open();
     await waitForMode(page, 'gpu');
     const photo = await pixelsAt(page, HOME, WIDTH, HEIGHT);
@@ -40,10 +40,6 @@ describe('draw mode', () => {
     }
     await page.getByLabel('The photo').check();
     assert.equal(fractionDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), photo, WIDTH, HEIGHT, { levels: 0 }), 0);
-    const shape = () => page.evaluate(() => window.viewer.canvas.clientWidth / window.viewer.canvas.clientHeight);
-    const [one] = [await shape()];
-    await page.getByLabel('Side by side').check();
-    assert.ok(Math.abs((await shape()) / one - 2) < 0.05, 'the picture has twice the aspect ratio');
     assert.deepEqual(errors, []);
     await context.close();
   });
