@@ -360,3 +360,6 @@ fn median(matches: &[Match], model: &Model, size: (usize, usize)) -> f64 {
     off.sort_by(f64::total_cmp);
     off.get(off.len() / 2).copied().unwrap_or_default()
 }
+
+#[cfg(test)]
+mod tests;
