@@ -43,9 +43,9 @@ const FAULTS: &[Fault] = &[
             smooth_labels(samples, planes, labels, target, 1.5 * neighbour);
         });
     }),
-    // more than half a pixel to one side
+    // whole pixels only
     ("stereo", &["matching"], |c| {
-        stereo::pairs(c, |first, second| Some(stereo::measured(first, second)?.into_iter().map(|d| d + 0.6).collect()));
+        stereo::pairs(c, |first, second| Some(stereo::measured(first, second)?.into_iter().map(f64::round).collect()));
     }),
     ("live depth", &["scale and shift"], |c| {
         live_depth::scales(c, |new, last, steady| Affine { scale: 1.0, ..fit(new, last, steady) });
