@@ -53,11 +53,11 @@ const FAULTS: &[Fault] = &[
     ("live depth", &["borders"], |c| live_depth::borders(c, |_, _, _, _| {})),
     // against the motion
     ("live motion", &["labels"], |c| live_motion::labels(c, |geometry, was, now| live_motion::followed(geometry, now, was))),
-    // two levels too red
+    // four levels too red
     ("high dynamic range", &["tone mapping"], |c| {
         colours::high_dynamic_range(c, |file| {
             let mut photo = decode(file, &Limits::default(), None).ok()?.photo;
-            photo.rgb.iter_mut().for_each(|p| p[0] = p[0].saturating_add(2));
+            photo.rgb.iter_mut().for_each(|p| p[0] = p[0].saturating_add(4));
             Some(photo)
         });
     }),

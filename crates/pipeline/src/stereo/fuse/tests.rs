@@ -89,7 +89,7 @@ proptest! {
     #[test]
     fn unmeasured_pixels_follow_the_estimate(scale in 4.0f32..60.0, shift in -40.0f32..40.0, wild in 0u32..32, seed in 0u64..99) {
         let mut draw = Draw(seed);
-        let estimate: Vec<f32> = (0..60 * 40).map(|i| ((i % 60) as f32 / 60.0 + (i / 60 % 7) as f32 / 9.0) / 2.0).collect();
+        let estimate: Vec<f32> = (0..60 * 40).map(|i| f32::midpoint((i % 60) as f32 / 60.0, (i / 60 % 7) as f32 / 9.0)).collect();
         let truth: Vec<f32> = estimate.iter().map(|e| scale * e + shift).collect();
         let mut values = truth.clone();
         for v in &mut values {
