@@ -297,6 +297,38 @@ mod tests {
         assert!(rim.seen == 0 && rim.outlines == 60 && rim.mean() < 1.0, "{rim:?}");
     }
 
+    /// The residue is the distance between both colours times the thing's share of the rim, on either side.
+    #[test]
+    fn the_residue_is_the_things_share_of_the_colour() {
+        let apart = WALL.iter().zip(THING).map(|(w, t)| (f64::from(*w) - f64::from(t)).powi(2)).sum::<f64>().sqrt();
+        for (share, left) in [0.0, 0.05, 0.1, 0.5, 1.0].into_iter().flat_map(|share| [(share, false), (share, true)]) {
+            let (mut photo, mut delta, mut seen) = view(0);
+            let rim: [u8; 3] = std::array::from_fn(|c| (f64::from(WALL[c]) * (1.0 - share) + f64::from(THING[c]) * share).round() as u8);
+            (30..90).for_each(|y| seen[y * SIDE as usize + 76] = rim);
+            if left {
+                let side = SIDE as usize;
+                photo.rgb.chunks_exact_mut(side).for_each(<[_]>::reverse);
+                delta.chunks_exact_mut(side).for_each(<[_]>::reverse);
+                seen.chunks_exact_mut(side).for_each(<[_]>::reverse);
+            }
+            let found = Subject { photo: &photo, delta: &delta, focal: 160.0 }.ghosts(&seen, if left { -0.1 } else { 0.1 });
+            assert!((found.mean() - share * apart).abs() < 1.0, "{share} {left}: {found:?}");
+            assert_eq!((found.places, found.seen), (60, if share * apart > SEEN { 60 } else { 0 }), "{share} {left}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_found_without_depth_or_room() {
+        let (photo, _, seen) = view(1);
+        for delta in [f32::NAN, f32::INFINITY, 0.5] {
+            let delta = vec![delta; seen.len()];
+            assert_eq!(Subject { photo: &photo, delta: &delta, focal: 160.0 }.ghosts(&seen, 0.1), Ghosts::default());
+        }
+        let one = Photo { width: 1, height: 1, rgb: vec![WALL] };
+        assert_eq!(Subject { photo: &one, delta: &[0.5], focal: f64::INFINITY }.ghosts(&[WALL], 0.1), Ghosts::default());
+        assert!(Ghosts::default().share().abs() < 1e-12 && Ghosts::default().mean().abs() < 1e-12);
+    }
+
     #[test]
     fn spots_that_are_no_outline_are_not_seen() {
         let (photo, delta, mut seen) = view(0, 0);

@@ -1,10 +1,11 @@
 //! Tests of the shipped networks in the pipeline's own stages, on synthetic scenes with known disparity and colours.
 #![allow(clippy::unwrap_used, clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "test")]
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use tmpi_core::{Class, DisparityMap, Intrinsics, LayerMask, Photo, compose};
 use tmpi_pipeline::networks::models::{Settings, load};
+use tmpi_pipeline::networks::{Config, Network as _, Session, Tensor, available};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::run::stages::{self, Layered, Prepared, WeightedDisparity};
 use tmpi_pipeline::run::{Context, Denoise, Switch};
@@ -12,16 +13,69 @@ use tmpi_pipeline::{Models, Options, Silent};
 use tmpi_render::draw_reference_view;
 
 const SIZE: (u32, u32) = (256, 192);
+/// Largest difference of a network's output between two evaluators, as a share of its range: sums in another order.
+const GOLDEN: f32 = 1e-4;
 /// Standard deviation of the noise that Θ is meant to remove: a variance of 1e-3.
 const NOISE: f32 = 0.0316;
 
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models")
+}
+
 /// The networks in the workspace's `models` folder; `None` without ONNX Runtime.
 fn models() -> Option<Models> {
-    tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available())?;
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
+    tmpi_testing::Need::Onnx.or_skip(available())?;
+    let folder = folder();
     let models = load(&Settings { folder, ..Settings::default() }).unwrap();
     assert!(models.theta.is_some() && models.psi.is_some(), "the workspace ships both files");
     Some(models)
+}
+
+/// Some outputs of a network for a fixed input by ONNX's own evaluator, which `tests/onnx/goldens.py` writes.
+#[derive(serde::Deserialize)]
+struct Golden {
+    network: String,
+    shape: [usize; 4],
+    low: f32,
+    high: f32,
+    outputs: Vec<Vec<f32>>,
+}
+
+impl Golden {
+    /// Largest difference of an output from the golden one, as a share of that one's range; `swapped` reverses the order of the channels.
+    fn difference(&self, session: &Session, swapped: bool) -> f32 {
+        let [n, channels, h, w] = self.shape;
+        let value = |i: usize| {
+            let (x, y, c) = (i % w, i / w % h, i / (w * h));
+            let c = if swapped { n * channels - 1 - c } else { c };
+            self.low + (self.high - self.low) * ((3 * x + 5 * y + 7 * c) % 32) as f32 / 32.0
+        };
+        let input = Tensor { shape: self.shape.to_vec(), data: (0..n * channels * h * w).map(value).collect() };
+        let outputs = session.run(vec![input]).unwrap();
+        assert_eq!(outputs.len(), self.outputs.len());
+        let of = |(got, want): (&Tensor, &Vec<f32>)| {
+            let range = want.iter().copied().fold(f32::MIN, f32::max) - want.iter().copied().fold(f32::MAX, f32::min);
+            let got = got.data.iter().step_by(got.data.len() / want.len());
+            got.zip(want)
+                .map(|(g, w)| (g - w).abs() / range)
+                .fold(0.0, |most: f32, off| if off.is_nan() { f32::INFINITY } else { most.max(off) })
+        };
+        outputs.iter().zip(&self.outputs).map(of).fold(0.0, f32::max)
+    }
+}
+
+#[test]
+fn networks_agree_with_another_evaluator() {
+    if tmpi_testing::Need::Onnx.or_skip(available()).is_none() {
+        return;
+    }
+    let goldens: Vec<Golden> = serde_json::from_str(include_str!("../../../tests/onnx/goldens.json")).unwrap();
+    for golden in goldens {
+        let file = std::fs::read(folder().join(&golden.network)).unwrap();
+        let session = Session::load(&golden.network, &file, &Config::default()).unwrap();
+        let (off, swapped) = (golden.difference(&session, false), golden.difference(&session, true));
+        assert!(off < GOLDEN && swapped > 10.0 * GOLDEN, "{}: off by {off}, with swapped channels by {swapped}", golden.network);
+    }
 }
 
 /// A uniform number in [0, 1), the same on every machine (`SplitMix64`).

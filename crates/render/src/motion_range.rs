@@ -14,8 +14,9 @@ const ENDS: [f64; 2] = [0.03, 0.97];
 const BROKEN: f64 = 4.0;
 const CALMER: f64 = 0.15;
 const CALMEST: f64 = 0.6;
-/// Disparity that views turn about if a scene shows nothing.
+/// Disparity that views turn about, and range of disparities, if a scene shows nothing.
 const PIVOT: f64 = 0.35;
+const SPREAD: f64 = 0.8;
 /// Number of disparity bins.
 const BINS: usize = 256;
 
@@ -57,6 +58,9 @@ impl MotionRange {
             area[*bin] += visible;
         }
         let total: f64 = area.iter().sum();
+        if total <= 0.0 {
+            return Self { travel: travel(scene, SPREAD, 0.0), pivot: PIVOT, nearest: [0.5, 0.5] };
+        }
         let quantile = |share: f64| {
             let mut sum = 0.0;
             let bin = area.iter().position(|a| {
@@ -71,20 +75,18 @@ impl MotionRange {
         for (_, visible, [x, y]) in layers.iter().filter(|l| l.0 >= near) {
             sums = [sums[0] + visible, sums[1] + visible * x, sums[2] + visible * y];
         }
-        let place = |sum: f64, side: u32| if sums[0] > 0.0 { sum / sums[0] / f64::from(side) } else { 0.5 };
         Self {
-            travel: travel(scene, if total > 0.0 { at(near) - at(far) } else { 0.0 }),
-            pivot: if total > 0.0 { at(quantile(0.5)) } else { PIVOT },
-            nearest: [place(sums[1], grid.width), place(sums[2], grid.height)],
+            travel: travel(scene, at(near) - at(far), scene.layers.len() as f64 / f64::from(grid.tiles())),
+            pivot: at(quantile(0.5)),
+            nearest: [sums[1] / sums[0] / f64::from(grid.width), sums[2] / sums[0] / f64::from(grid.height)],
         }
     }
 }
 
-/// Travel for a scene whose disparities have a range of `spread`.
-fn travel(scene: &Scene, spread: f64) -> ViewBox {
+/// Travel for a scene with this range of disparities and this many layers per tile.
+fn travel(scene: &Scene, spread: f64, layers: f64) -> ViewBox {
     let ViewBox { x, y, z } = scene.view_box;
-    let a_tile = scene.layers.len() as f64 / f64::from(scene.grid.tiles()).max(1.0);
-    let calm = (1.0 - CALMER * (a_tile - BROKEN).max(0.0)).max(CALMEST);
+    let calm = (1.0 - CALMER * (layers - BROKEN).max(0.0)).max(CALMEST);
     let wanted = SHARE * f64::from(scene.grid.width) / (2.0 * scene.intrinsics.fx * spread.max(1e-3)) * calm;
     let extent = wanted.clamp(LEAST, MotionRange::TRAVEL);
     ViewBox { x: x.min(extent), y: y.min(extent), z: z.min(2.0 * extent) }
@@ -94,7 +96,8 @@ fn travel(scene: &Scene, spread: f64) -> ViewBox {
 mod tests {
     use super::super::testing;
     use super::*;
-    use tmpi_core::Plane;
+    use proptest::prelude::*;
+    use tmpi_core::{Layer, Plane, Rect};
 
     fn scene(view: f64) -> Scene {
         let mut scene = testing::flat(100, 60, 0.5);
@@ -118,6 +121,61 @@ mod tests {
         let mut nothing = testing::flat(60, 40, 0.5);
         nothing.layers.clear();
         assert!((MotionRange::of(&nothing).pivot - PIVOT).abs() < 1e-12);
+    }
+
+    /// Reference: the rules on a list of all visible texels, each at its layer's disparity, from far to near. A test of
+    /// `static/view/motion-range.js` compares it with the same.
+    fn by_definition(scene: &Scene) -> MotionRange {
+        let mut texels: Vec<(f64, f64, f64)> = Vec::new();
+        for layer in &scene.layers {
+            let (x, y) = (f64::from(layer.rect.x) + f64::from(layer.rect.w) / 2.0, f64::from(layer.rect.y) + f64::from(layer.rect.h) / 2.0);
+            let (cx, cy) = scene.grid.centre(layer.tile);
+            let delta = layer.plane.a + layer.plane.b * ((x - cx) / scene.grid.half()) + layer.plane.c * ((y - cy) / scene.grid.half());
+            let bin = if delta.is_nan() { 0.0 } else { (delta * 256.0).floor().clamp(0.0, 255.0) };
+            let class = &scene.texels.class[layer.first_texel..][..layer.rect.area()];
+            texels.extend(class.iter().filter(|c| **c == Class::Photo as u8).map(|_| ((bin + 0.5) / 256.0, x, y)));
+        }
+        texels.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let n = texels.len() as f64;
+        let at = |share: f64| texels[((share * n).ceil() as usize).saturating_sub(1)].0;
+        let (spread, layers) = if texels.is_empty() { (0.8, 0.0) } else { (at(0.97) - at(0.03), scene.layers.len() as f64) };
+        let half = 0.06 * f64::from(scene.grid.width) / (2.0 * scene.intrinsics.fx * spread.max(0.001));
+        let half = (half * (1.0 - 0.15 * (layers - 4.0).max(0.0)).max(0.6)).clamp(0.02, 0.06);
+        let nearest: Vec<_> = texels.iter().filter(|t| t.0 >= at(0.97)).collect();
+        let mean = |of: fn(&(f64, f64, f64)) -> f64, side: u32| {
+            nearest.iter().map(|t| of(t)).sum::<f64>() / nearest.len() as f64 / f64::from(side)
+        };
+        let ViewBox { x, y, z } = scene.view_box;
+        MotionRange {
+            travel: ViewBox { x: x.min(half), y: y.min(half), z: z.min(2.0 * half) },
+            pivot: if texels.is_empty() { 0.35 } else { at(0.5) },
+            nearest: if texels.is_empty() { [0.5; 2] } else { [mean(|t| t.1, scene.grid.width), mean(|t| t.2, scene.grid.height)] },
+        }
+    }
+
+    fn any_layer() -> impl Strategy<Value = Layer> {
+        let a = prop_oneof![8 => -0.3f64..1.3, 1 => prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY])];
+        let plane = (a, -0.3f64..0.3, -0.3f64..0.3).prop_map(|(a, b, c)| Plane { a, b, c });
+        let rect = (0u32..50, 0u32..30, 1u32..=50, 1u32..=30).prop_map(|(x, y, w, h)| Rect { x, y, w, h });
+        (plane, rect).prop_map(|(plane, rect)| Layer { tile: 0, plane, rect, first_texel: 0, first_hidden: 0 })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(128))]
+
+        #[test]
+        fn motion_ranges_agree_with_their_definition(
+            layers in prop::collection::vec(any_layer(), 0..9), fx in 10.0f64..500.0, view in 0.0f64..0.2, hidden in 1usize..9, equal in any::<bool>(),
+        ) {
+            let mut made = scene(view);
+            made.intrinsics.fx = fx;
+            made.texels.class.iter_mut().step_by(hidden).for_each(|c| *c = Class::Hidden as u8);
+            // equal counts end at a quantile exactly
+            made.layers = layers.into_iter().map(|l| if equal { Layer { rect: Rect { w: 10, h: 10, ..l.rect }, ..l } } else { l }).collect();
+            let (got, want) = (MotionRange::of(&made), by_definition(&made));
+            let of = |m: &MotionRange| [m.travel.x, m.travel.y, m.travel.z, m.pivot, m.nearest[0], m.nearest[1]];
+            prop_assert!(of(&got).iter().zip(of(&want)).all(|(g, w)| (g - w).abs() < 1e-9), "{got:?}, not {want:?}");
+        }
     }
 
     #[test]

@@ -15,7 +15,62 @@ function scene(deltas, focal = 0.58) {
   return { ...made, intrinsics: { ...made.intrinsics, fx, fy: fx }, viewBox: { x: 0.12, y: 0.12, z: 0.06 } };
 }
 
+/**
+ * Reference: the rules on a list of all visible texels, each at its layer's disparity, from far to near. A test of
+ * crates/render/src/motion_range.rs compares it with the same.
+ */
+function byDefinition({ width, height, tileSize, intrinsics, viewBox, layers }) {
+  const texels = [];
+  for (let i = 0; i < layers.count; i++) {
+    const [x, y] = [layers.x[i] + layers.w[i] / 2, layers.y[i] + layers.h[i] / 2];
+    const delta = layers.a[i] + layers.b[i] * ((2 * x) / tileSize - 1) + layers.c[i] * ((2 * y) / tileSize - 1);
+    const bin = Number.isNaN(delta) ? 0 : Math.min(255, Math.max(0, Math.floor(delta * 256)));
+    for (let k = 0; k < layers.visible[i]; k++) texels.push({ delta: (bin + 0.5) / 256, x, y });
+  }
+  texels.sort((a, b) => a.delta - b.delta);
+  const at = (share) => texels[Math.max(0, Math.ceil(share * texels.length) - 1)].delta;
+  const [spread, count] = texels.length ? [at(0.97) - at(0.03), layers.count] : [0.8, 0];
+  const wanted = ((0.06 * width) / (2 * intrinsics.fx * Math.max(spread, 0.001))) * Math.max(1 - 0.15 * Math.max(count - 4, 0), 0.6);
+  const half = Math.min(0.06, Math.max(0.02, wanted));
+  const nearest = texels.filter(({ delta }) => delta >= at(0.97));
+  const mean = (of, side) => (nearest.length ? nearest.reduce((sum, t) => sum + of(t), 0) / nearest.length / side : 0.5);
+  return {
+    travel: { x: Math.min(viewBox.x, half), y: Math.min(viewBox.y, half), z: Math.min(viewBox.z, 2 * half) },
+    pivot: texels.length ? at(0.5) : 0.35,
+    nearest: { x: mean((t) => t.x, width), y: mean((t) => t.y, height) },
+  };
+}
+
 describe('motion range', () => {
+  test('agrees with its definition for any planes, also without visible texels', () => {
+    let state = 1;
+    const below = (n) => {
+      state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+      return (state / 2 ** 32) * n;
+    };
+    const wild = [Number.NaN, Number.POSITIVE_INFINITY, Number.NEGATIVE_INFINITY];
+    for (let n = 0; n < 200; n++) {
+      const made = scene(
+        Array.from({ length: Math.floor(below(9)) }, () => (below(9) < 1 ? wild[Math.floor(below(3))] : below(1.6) - 0.3)),
+      );
+      const { layers, width, height } = made;
+      for (let i = 0; i < layers.count; i++) {
+        [layers.b[i], layers.c[i]] = [below(0.6) - 0.3, below(0.6) - 0.3];
+        [layers.x[i], layers.y[i], layers.w[i], layers.h[i]] = [below(width), below(height), 1 + below(width), 1 + below(height)];
+        // equal counts end at a quantile exactly
+        layers.visible[i] = n % 10 ? (n % 3 ? below(300) : 100) : 0;
+      }
+      made.intrinsics.fx = 10 + below(300);
+      const [got, want] = [motionRangeOf(made), byDefinition(made)];
+      const flat = ({ travel, pivot, nearest }) => [travel.x, travel.y, travel.z, pivot, nearest.x, nearest.y];
+      const wants = flat(want);
+      assert.ok(
+        flat(got).every((v, i) => Math.abs(v - wants[i]) < 1e-9),
+        `scene ${n}: ${JSON.stringify(got)}, not ${JSON.stringify(want)}`,
+      );
+    }
+  });
+
   test('the pivot is the wall, and the box is nearest', async () => {
     const box = await decodeScene(new Uint8Array(boxContainer()), readPng);
     const { pivot, nearest, travel } = motionRangeOf(box);

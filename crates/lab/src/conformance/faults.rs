@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use tmpi_core::{Camera, Class, DisparityMap, Geometry, Intrinsics, LayerMasks, Pose, Scene, ViewBox, texture};
+use tmpi_live::align::{Affine, fit};
 use tmpi_pipeline::Options;
 use tmpi_pipeline::depth::upsample;
 use tmpi_pipeline::edges;
@@ -12,7 +13,10 @@ use tmpi_render::{Cpu, RenderError, Renderer, View};
 
 use crate::oracle_depth;
 
-use super::{Checked, Hosts, Kernel, clustering, compositing, map_filters, matting, photos, quantisation, readers, views};
+use super::{
+    Checked, Hosts, Kernel, clustering, colours, compositing, live_depth, live_motion, map_filters, matting, photos, quantisation, readers,
+    stereo, views,
+};
 
 /// Family, subjects, and the cases run on a faulty kernel.
 type Fault = (&'static str, &'static [&'static str], fn(&mut Checked));
@@ -39,6 +43,26 @@ const FAULTS: &[Fault] = &[
             smooth_labels(samples, planes, labels, target, 1.5 * neighbour);
         });
     }),
+    // whole pixels only
+    ("stereo", &["matching"], |c| {
+        stereo::pairs(c, |first, second| Some(stereo::measured(first, second)?.into_iter().map(f64::round).collect()));
+    }),
+    ("live depth", &["scale and shift"], |c| {
+        live_depth::scales(c, |new, last, steady| Affine { scale: 1.0, ..fit(new, last, steady) });
+    }),
+    ("live depth", &["borders"], |c| live_depth::borders(c, |_, _, _, _| {})),
+    // against the motion
+    ("live motion", &["labels"], |c| live_motion::labels(c, |geometry, was, now| live_motion::followed(geometry, now, was))),
+    // four levels too red
+    ("high dynamic range", &["tone mapping"], |c| {
+        colours::high_dynamic_range(c, |file| {
+            let mut photo = decode(file, &Limits::default(), None).ok()?.photo;
+            photo.rgb.iter_mut().for_each(|p| p[0] = p[0].saturating_add(4));
+            Some(photo)
+        });
+    }),
+    // eyes swapped
+    ("anaglyphs", &["mix"], |c| colours::anaglyphs(c, |left, right, layout| colours::mixed(right, left, layout))),
     ("visibility", &["texels"], |c| readers::visibility(c, |geometry| less_hidden(geometry.masks_unpruned()))),
     // texels of a smaller view box
     ("pruning", &["texels"], |c| {

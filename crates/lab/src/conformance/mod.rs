@@ -2,9 +2,12 @@
 //! and the error that it has (DESIGN, section 7).
 
 mod clustering;
+mod colours;
 mod compositing;
 #[cfg(test)]
 mod faults;
+mod live_depth;
+mod live_motion;
 mod map_filters;
 mod matting;
 mod mirror_blur_reference;
@@ -14,6 +17,7 @@ mod raycast;
 mod readers;
 mod reference;
 pub mod scenes;
+mod stereo;
 mod view_box_corners;
 mod views;
 
@@ -153,6 +157,10 @@ pub fn run() -> Checked {
     let hosts = Hosts::new(&mut checked.skipped);
     clustering::run(&mut checked);
     map_filters::run(&mut checked);
+    stereo::run(&mut checked);
+    live_depth::run(&mut checked);
+    live_motion::run(&mut checked);
+    colours::run(&mut checked);
     readers::run(&mut checked);
     matting::run(&mut checked);
     views::run(&mut checked, &hosts);

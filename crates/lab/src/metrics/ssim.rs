@@ -67,7 +67,47 @@ fn blur(p: &[f64], width: usize, height: usize) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
+
+    /// Reference: each pixel by the sums over its window of 11 × 11 pixels, mirrored about the outermost ones as often as needed.
+    fn by_definition(a: &[[u8; 3]], b: &[[u8; 3]], width: usize) -> Vec<f64> {
+        let height = a.len() / width;
+        let mirrored = |mut i: i64, n: usize| {
+            let last = n as i64 - 1;
+            while last > 0 && !(0..=last).contains(&i) {
+                i = if i < 0 { -i } else { 2 * last - i };
+            }
+            if last == 0 { 0 } else { i as usize }
+        };
+        let pixel = |at: usize, channel: usize| {
+            let mut sums = [0.0; 6];
+            for (dx, dy) in (-5..=5).flat_map(|dy| (-5..=5).map(move |dx: i64| (dx, dy))) {
+                let i = mirrored((at / width) as i64 + dy, height) * width + mirrored((at % width) as i64 + dx, width);
+                let (x, y) = (f64::from(a[i][channel]) / 255.0, f64::from(b[i][channel]) / 255.0);
+                let weight = (-((dx * dx + dy * dy) as f64) / 4.5).exp();
+                sums.iter_mut().zip([1.0, x, y, x * x, y * y, x * y]).for_each(|(sum, v)| *sum += weight * v);
+            }
+            let [x, y, xx, yy, xy] = [1, 2, 3, 4, 5].map(|k| sums[k] / sums[0]);
+            let (vx, vy, cov) = (xx - x * x, yy - y * y, xy - x * y);
+            (2.0 * x * y + 1e-4) * (2.0 * cov + 9e-4) / ((x * x + y * y + 1e-4) * (vx + vy + 9e-4))
+        };
+        (0..a.len()).map(|at| (0..3).map(|channel| pixel(at, channel)).sum::<f64>() / 3.0).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
+        #[test]
+        fn maps_agree_with_their_definition(
+            width in 1usize..16, height in 1usize..9, values in prop::collection::vec(any::<([u8; 3], [u8; 3])>(), 16 * 9),
+        ) {
+            let (a, b): (Vec<_>, Vec<_>) = values[..width * height].iter().copied().unzip();
+            let (got, want) = (ssim_map(&a, &b, width), by_definition(&a, &b, width));
+            prop_assert!(got.iter().zip(want).all(|(g, w)| (f64::from(*g) - w).abs() < 1e-5), "{got:?}");
+        }
+    }
 
     #[test]
     fn equal_pictures_have_ssim_1_and_noise_lowers_it() {

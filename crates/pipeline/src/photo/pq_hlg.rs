@@ -103,3 +103,47 @@ fn hlg_light(value: f64) -> f64 {
 fn srgb(light: f64) -> f64 {
     if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Reference: sample of light in nits, the curve that SMPTE ST 2084 gives in this direction, with its constants as decimals.
+    fn pq_sample(nits: f64) -> f64 {
+        let root = (nits / 10_000.0).powf(0.159_301_757_812_5);
+        ((0.835_937_5 + 18.851_562_5 * root) / (1.0 + 18.687_5 * root)).powf(78.843_75)
+    }
+
+    /// Reference: sample of scene light 0 to 1 (ITU-R BT.2100, table 5).
+    fn hlg_sample(light: f64) -> f64 {
+        if light <= 1.0 / 12.0 { (3.0 * light).sqrt() } else { 0.178_832_77 * (12.0 * light - 0.284_668_92).ln() + 0.559_910_73 }
+    }
+
+    #[test]
+    fn every_sample_is_that_of_its_light() {
+        for sample in (0..=u16::MAX).map(|v| f64::from(v) / MAX) {
+            let (pq, hlg) = (pq_light(sample), hlg_light(sample));
+            // a tenth of a 16-bit step
+            assert!((pq_sample(pq * 203.0) - sample).abs() < 1.5e-6, "PQ {sample}: {pq}");
+            assert!((hlg_sample(hlg) - sample).abs() < 1.5e-6, "HLG {sample}: {hlg}");
+        }
+    }
+
+    /// Reference: the curve by halving, on the quadratic Bézier curve of its three control points.
+    #[test]
+    fn tone_mapping_is_the_curve_of_its_control_points() {
+        let bezier = |t: f64, [a, b, c]: [f64; 3]| (1.0 - t) * (1.0 - t) * a + 2.0 * t * (1.0 - t) * b + t * t * c;
+        let peak = 1000.0 / 203.0;
+        for x in (0..=600).map(|i| f64::from(i) / 100.0) {
+            let (mut low, mut high) = (0.0, 1.0);
+            for _ in 0..60 {
+                let t = f64::midpoint(low, high);
+                *if bezier(t, [1.0, 1.65, peak]) < x { &mut low } else { &mut high } = t;
+            }
+            // beyond the peak all light is as bright as the peak
+            let want = if x <= 1.0 { x / 2.0 } else { bezier(low, [0.5, 0.825, 1.0]) };
+            assert!((x * gain(x) - want).abs() < 1e-9, "{x}: {}, not {want}", x * gain(x));
+        }
+        assert!(gain(f64::INFINITY).abs() < 1e-12 && srgb(0.0).abs() < 1e-12 && (srgb(1.0) - 1.0).abs() < 1e-12);
+    }
+}

@@ -47,3 +47,37 @@ pub fn census(picture: &Grey) -> Vec<u64> {
     });
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Reference: for each of the 62 neighbours of a pixel, whether it is darker.
+    fn darker(picture: &Grey, i: usize) -> Vec<bool> {
+        let (w, h) = (picture.width as i64, picture.height as i64);
+        let (x, y) = (i as i64 % w, i as i64 / w);
+        let at = |x: i64, y: i64| picture.values[(y.clamp(0, h - 1) * w + x.clamp(0, w - 1)) as usize];
+        let around = (-3..=3).flat_map(|dy| (-4..=4).map(move |dx| (dx, dy))).filter(|by| *by != (0, 0));
+        around.map(|(dx, dy)| at(x + dx, y + dy) < at(x, y)).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// The order of the comparisons in a word does not matter, as long as it is the same everywhere.
+        #[test]
+        fn words_differ_in_as_many_bits_as_comparisons_do(
+            width in 1usize..24, height in 1usize..9, levels in 1u8..=255, values in prop::collection::vec(any::<u8>(), 24 * 9),
+        ) {
+            let picture = Grey { width, height, values: values[..width * height].iter().map(|v| v % levels).collect() };
+            let (words, want) = (census(&picture), (0..width * height).map(|i| darker(&picture, i)).collect::<Vec<_>>());
+            for (i, j) in (0..width * height).flat_map(|i| (0..i).map(move |j| (i, j))) {
+                let differ = want[i].iter().zip(&want[j]).filter(|(a, b)| a != b).count();
+                prop_assert_eq!((words[i] ^ words[j]).count_ones() as usize, differ, "pixels {} and {}", i, j);
+            }
+            prop_assert!(words.iter().zip(&want).all(|(w, d)| w.count_ones() as usize == d.iter().filter(|d| **d).count()));
+        }
+    }
+}

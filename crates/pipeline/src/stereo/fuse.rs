@@ -187,3 +187,6 @@ pub fn drop_specks(measured: &mut [f32], w: usize, least: usize) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -243,7 +243,7 @@ fn nearest(words: (&[u64], &[u64]), (w, h): (usize, usize), (x, y): (usize, usiz
         let (own, most) = (at as i64, n as i64 - 1 - half as i64);
         let inside = at >= half && own <= most;
         let (from, to) = ((own + about - reach).max(half as i64), (own + about + reach).min(most));
-        (inside && from <= to).then_some(from as usize..to as usize + 1)
+        (inside && from <= to).then(|| from as usize..to as usize + 1)
     };
     let (xs, ys) = (range(x, about.0, reach.0, w)?, range(y, about.1, reach.1, h)?);
     let columns = xs.len();
@@ -360,3 +360,6 @@ fn median(matches: &[Match], model: &Model, size: (usize, usize)) -> f64 {
     off.sort_by(f64::total_cmp);
     off.get(off.len() / 2).copied().unwrap_or_default()
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,5 +1,7 @@
 //! Matching against its definition, and pairs made to break it.
 
+use proptest::prelude::*;
+
 use super::census::{Grey, census};
 use super::rectify::{Model, rectify};
 use super::sgm::{self, Range, Views};
@@ -68,20 +70,68 @@ fn by_definition(first: &Grey, second: &Grey, range: Range) -> Vec<Vec<i64>> {
     sums
 }
 
+/// Reference in `f64`: disparities of a row by the sums of its pixels. NaN where another position matches as well, where the other picture's
+/// pixel has a smaller sum from elsewhere in the row, or where the best position lies outside.
+fn chosen(sums: &[Vec<i64>], range: Range) -> Vec<f64> {
+    let (w, n) = (sums.len() as i64, range.count as i64);
+    let of = |x: i64| {
+        let own = &sums[x as usize];
+        let (least, i) = own.iter().zip(0..n).min().unwrap();
+        let place = x - i64::from(range.first) - i;
+        let from = (0..w).map(|x| (x, x - i64::from(range.first) - place)).filter(|(_, j)| (0..n).contains(j));
+        let (_, back) = from.map(|(x, j)| (sums[x as usize][j as usize], j)).min().unwrap();
+        let rival = own.iter().zip(0..n).filter(|(_, j)| (j - i).abs() > 1).map(|(s, _)| *s).min().unwrap();
+        if !(0..w).contains(&place) || (back - i).abs() > 1 || *least as f64 >= 0.97 * rival as f64 {
+            return f64::NAN;
+        }
+        // two lines of the steeper side's slope, one falling and one rising, meet at the minimum
+        let part = if i == 0 || i == n - 1 {
+            0.0
+        } else {
+            let [falls, rises] = [i - 1, i + 1].map(|j| (own[j as usize] - least) as f64);
+            if falls.max(rises) > 0.0 { (falls - rises) / (2.0 * falls.max(rises)) } else { 0.0 }
+        };
+        f64::from(range.first) + i as f64 + part
+    };
+    (0..w).map(of).collect()
+}
+
+/// Compares matching with its definition, and returns the number of measured pixels. Pictures have a single band.
+fn measured_by_definition(first: &Grey, second: &Grey, range: Range) -> usize {
+    let [own, other] = [census(first), census(second)];
+    let got = sgm::disparity(&Views { width: first.width, height: first.height, grey: &first.values, own: &own, other: &other }, range);
+    let want = by_definition(first, second, range).chunks(first.width).flat_map(|row| chosen(row, range)).collect::<Vec<_>>();
+    for (i, (got, want)) in got.iter().zip(&want).enumerate() {
+        assert!(got.is_nan() && want.is_nan() || (f64::from(*got) - want).abs() < 1e-4, "pixel {i} of {range:?}: {got}, not {want}");
+    }
+    want.iter().filter(|d| d.is_finite()).count()
+}
+
 #[test]
-fn measured_disparities_have_the_least_sum_by_definition() {
+fn disparities_agree_with_their_definition() {
     for (w, h, first, steps) in [(40, 21, 0, 1), (40, 21, 0, 3), (33, 9, -20, 1), (33, 9, -60, 2), (1, 12, 0, 1), (12, 1, -3, 1)] {
         let (a, b) = (grey_of(&spots(w, h, 1)), grey_of(&beside(&spots(w, h, 1), 3, 5)));
-        let range = Range { first, count: steps * sgm::STEP };
-        let [own, other] = [census(&a), census(&b)];
-        let views = Views { width: a.width, height: a.height, grey: &a.values, own: &own, other: &other };
-        let got = sgm::disparity(&views, range);
-        for (d, sums) in got.iter().zip(by_definition(&a, &b, range)).filter(|(d, _)| d.is_finite()) {
-            let least = *sums.iter().min().unwrap();
-            let near = sums.iter().enumerate().filter(|(_, s)| **s == least).any(|(i, _)| (d - (first + i as i32) as f32).abs() <= 0.5);
-            assert!(near, "{w}×{h}: {d}");
+        let measured = measured_by_definition(&a, &b, Range { first, count: steps * sgm::STEP });
+        assert!(w < 30 || first < 0 || measured > 300, "{measured}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// From even pictures to noise of 256 levels, on ranges that lead outside the other picture.
+    #[test]
+    fn disparities_of_noise_agree_with_their_definition(
+        w in 1u32..36, h in 1u32..12, levels in 1u16..=256, shift in -9i32..9, first in -45i32..9, steps in 1usize..3, wrong in 0u8..200,
+        seed in 0u32..1000,
+    ) {
+        let value = |x: u32, y: u32, seed: u32| (u16::from(noise(x, y, seed)) % levels * (255 / (levels - 1).max(1))) as u8;
+        let a = Photo::from_fn(w, h, |x, y| [value(x, y, seed); 3]);
+        let mut b = beside(&a, shift, -shift);
+        for (i, p) in (0..).zip(&mut b.rgb).filter(|(i, _)| noise(*i, 0, seed) < wrong) {
+            *p = [value(i, 1, seed + 1); 3];
         }
-        assert!(w < 30 || first < 0 || got.iter().filter(|d| d.is_finite()).count() > 300);
+        measured_by_definition(&grey_of(&a), &grey_of(&b), Range { first, count: steps * sgm::STEP });
     }
 }
 
