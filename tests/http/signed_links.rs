@@ -7,6 +7,7 @@ use hmac::{Hmac, KeyInit as _, Mac as _};
 use sha2::{Digest as _, Sha256};
 use tmpi_library::hex;
 
+use crate::access::plain;
 use crate::key_fixture;
 use crate::prelude::*;
 
