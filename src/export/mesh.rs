@@ -10,7 +10,8 @@ use tmpi_core::{Intrinsics, Layer, Scene};
 
 /// In metric space, points beyond this distance are moved to it, in units of the photo's nearest distance.
 ///
-/// A point at infinity then moves by `f·t / FAR` pixels instead of none: 0.2 at a focal length of 600 and the default view box.
+/// A point at infinity then moves by `f·t / FAR` pixels instead of none: 0.7 at a focal length of 600 and the border of the
+/// default view box (`Options::VIEW_BOX`).
 pub(super) const FAR: f64 = 100.0;
 
 /// Angle of view, in degrees, of a relief's longer side from the photo's camera. Viewers that frame a model choose a similar distance.

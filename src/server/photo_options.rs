@@ -63,7 +63,7 @@ pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Probl
 
 /// The view box among options as text; the default if there is none.
 pub fn view_box_of(text: &BTreeMap<String, String>) -> ViewBox {
-    text.get("view-box").and_then(|v| view_box("view-box", v).ok()).unwrap_or_default()
+    text.get("view-box").and_then(|v| view_box("view-box", v).ok()).unwrap_or(Options::VIEW_BOX)
 }
 
 /// All options as text; [`set`] reads every pair back. Equal options have equal text.
@@ -161,6 +161,7 @@ mod tests {
         let text = to_text(&Options::default());
         assert_eq!(from_text(&text).unwrap(), Options::default());
         assert!(text.keys().all(|k| NAMES.contains(&k.as_str())));
+        assert_eq!([view_box_of(&text), view_box_of(&BTreeMap::new())], [Options::VIEW_BOX; 2]);
     }
 
     #[test]

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Compares peak memory of making a photo, for several sizes, planes and tiles, with the bound in its report (`crates/pipeline/src/run/memory.rs`)."""
-import argparse, json, random, subprocess, tempfile
+import argparse, json, os, random, subprocess, tempfile
 from pathlib import Path
-from common import PROGRAM, Table, check, finish, noise, png, size_of, smooth
+from common import PROGRAM, ROOT, Table, check, finish, noise, png, size_of, smooth
 
 
 def blocks(megapixels, size):
@@ -30,6 +30,11 @@ def cases(full):
         yield from ((mp, "noise", None, []), (mp, "smooth", "smooth", []), (mp, "noise", "noise", []), (mp, "eye", "second", []))
         if full or mp <= 0.5:
             yield mp, "noise", "noise", raw
+        # views with and without pruned texels, and the networks that denoise maps and refine layers
+        for depth in ("smooth", "noise"):
+            for more in (["--verify-prune"], ["--denoise", "theta"], ["--refine", "on"]):
+                yield mp, "noise", depth, more
+        yield mp, "noise", 24, [*raw, "--verify-prune", "--refine", "on"]
     # planes of noise take the most time: a minute per megapixel or more
     small = 2 if full else 0.2
     wide, normal = "10,10,10", "0.03,0.03,0.03"
@@ -43,6 +48,7 @@ def main():
     args = argparse.ArgumentParser(description=__doc__)
     args.add_argument("--full", action="store_true", help="photos of up to 50 megapixels; takes hours")
     full = args.parse_args().full
+    environment = {"TMPI_MODELS": str(ROOT / "models"), **os.environ}
     table = Table("photo", "depth map", "options", "pixels", "planes per tile", "peak", "bytes per pixel", "bound", "peak / bound")
     with tempfile.TemporaryDirectory(prefix="tmpi-load-") as folder:
         folder = Path(folder)
@@ -54,7 +60,7 @@ def main():
                 made = eye(mp, True) if depth == "second" else smooth(mp, 1) if depth == "smooth" else noise(mp, 1, levels) if depth == "noise" else blocks(mp, depth)
                 (folder / "depth.png").write_bytes(made)
                 command += ["--second" if depth == "second" else "--depth", str(folder / "depth.png")]
-            run = subprocess.run(command, capture_output=True, text=True)
+            run = subprocess.run(command, capture_output=True, text=True, env=environment)
             if run.returncode:
                 check(False, f"{mp} MP {kind} {depth} {options}: {run.stderr.strip()[-200:]}")
                 continue

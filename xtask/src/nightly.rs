@@ -10,7 +10,7 @@ use crate::command::{Fault, Profile, built, cargo, data, output, root, run, say,
 use crate::steps::{self, AfterFailure, Step};
 use crate::{fuzz, python, runtime, rust_tests, skipped, tools};
 
-const STEPS: [Step; 20] = [
+const STEPS: [Step; 21] = [
     Step { name: "tools", run: tools::fetch },
     Step { name: "ONNX Runtime", run: runtime::fetch },
     Step { name: "build", run: rust_tests::build },
@@ -26,6 +26,7 @@ const STEPS: [Step; 20] = [
     Step { name: "start time", run: || load("start_time.py") },
     Step { name: "live", run: || load("live.py") },
     Step { name: "extreme options", run: || load("extreme_options.py") },
+    Step { name: "report figures", run: || load("report_figures.py") },
     Step { name: "making memory", run: || load("making_memory.py") },
     Step { name: "cgroup", run: || load("cgroup.py") },
     Step { name: "bench", run: bench },

@@ -54,7 +54,7 @@ fn make(family: &str) -> Vec<u8> {
     let disparity = tmpi_pipeline::depth::to_png(&picture.disparity).unwrap();
     let options = tmpi_pipeline::Options {
         fov_x: Some(camera.intrinsics.fov_x(SIZE.0)),
-        // twice the default, so that more hidden texels become visible
+        // a box of their own, so that another default changes no golden
         view_box: ViewBox { x: 0.06, y: 0.06, z: 0.06 },
         ..tmpi_pipeline::Options::default()
     };

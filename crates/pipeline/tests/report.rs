@@ -8,10 +8,12 @@ use std::sync::Arc;
 
 use image::ExtendedColorType;
 use tmpi_core::container;
-use tmpi_core::{Camera, DisparityMap, Geometry, Intrinsics, Photo, Pose, Scene, TileFrame, ViewBox, compose, texture};
+use tmpi_core::{Camera, Class, DisparityMap, Geometry, Intrinsics, Photo, Pose, Scene, TileFrame, ViewBox, compose, texture};
 use tmpi_pipeline::depth::{DepthError, DepthKind, to_png};
+use tmpi_pipeline::networks::{Network, OnnxError, Tensor};
 use tmpi_pipeline::photo::{Limits, decode};
-use tmpi_pipeline::run::{ErrorFigures, ParallaxShift};
+use tmpi_pipeline::run::{ErrorFigures, ParallaxShift, Report};
+use tmpi_pipeline::stereo::Stereo;
 use tmpi_pipeline::{Denoise, Made, Models, Options, Silent, Switch, make};
 use tmpi_render::{Reference, Renderer};
 use tmpi_testing::pictures::{noise, png, waves as photo};
@@ -56,13 +58,16 @@ fn holes() -> (Subject, [f64; 2]) {
     (Subject { name: "holes", photo: photo(200, 120), map: file, values: DisparityMap { width, height, delta }, options }, shares)
 }
 
+/// No networks: every photo comes with a depth map.
+fn models() -> Models {
+    Models { depth: Arc::new(("none", |_: &Photo| Err(DepthError::NotEmbedded))), theta: None, psi: None }
+}
+
 /// Makes the photo with changed options.
 fn made(s: &Subject, change: impl FnOnce(&mut Options)) -> Made {
     let mut options = s.options.clone();
     change(&mut options);
-    // every photo comes with a depth map
-    let models = Models { depth: Arc::new(("none", |_: &Photo| Err(DepthError::NotEmbedded))), theta: None, psi: None };
-    make(&models, &Limits::default(), &s.photo, Some(&s.map), &options, &Silent).unwrap()
+    make(&models(), &Limits::default(), &s.photo, Some(&s.map), &options, &Silent).unwrap()
 }
 
 /// Distance in pixels between a point at two disparities: the larger of horizontal and vertical, over all corners of the view box.
@@ -219,6 +224,29 @@ fn add_step(all: &mut Figures, name: [&'static str; 2], reported: Option<Paralla
     }
 }
 
+/// Numbers of planes and texels, and of those left out.
+fn counts(report: &Report, geometry: &Geometry, scene: &Scene) -> Figures {
+    let whole: usize = scene.layers.iter().map(|l| scene.grid.rect(l.tile).area()).sum();
+    let kept = scene.texels.class.iter().filter(|c| **c != Class::Empty as u8).count();
+    let placed: usize = geometry.tiles.iter().map(|t| t.planes.len()).sum();
+    // mattes follow from the photo, which readers have from its compressed file
+    let slack = 2e-4 * kept as f64;
+    let counts = [
+        ("texels", report.texels, kept),
+        ("planes", report.planes, scene.layers.len()),
+        ("left_out.texels", report.left_out.texels, whole - kept),
+        ("left_out.bytes", report.left_out.bytes, 4 * (whole - kept)),
+        ("left_out.planes", report.left_out.planes, report.tiles * report.error.planes.most_planes as usize - placed),
+        ("left_out.tiles_not_refined", report.left_out.tiles_not_refined, geometry.tiles.len()),
+    ];
+    let slack_of = |name: &str| match name {
+        "texels" | "left_out.texels" => slack,
+        "left_out.bytes" => 4.0 * slack,
+        _ => 0.0,
+    };
+    counts.map(|(name, reported, computed)| (name, reported as f64, computed as f64, slack_of(name))).into()
+}
+
 /// All figures of a photo's report, beside those computed by definition.
 fn figures(s: &Subject) -> Figures {
     let full = made(s, |_| {});
@@ -270,6 +298,8 @@ fn figures(s: &Subject) -> Figures {
     all.push(("depth_mse", reported.depth_mse, computed.depth_mse, 1e-6 + 1e-4 * computed.depth_mse));
     all.push(("depth_q25", reported.depth_q25, computed.depth_q25, 1e-6 + 3e-3 * computed.depth_q25));
     all.push(("tile_px, largest difference", tile, 0.0, 1e-3));
+    let [own, by_definition] = [&reported.tile_px, &computed.tile_px].map(|t| t.iter().sum::<f64>());
+    all.push(("tile_px, sum", own, by_definition, 5e-4 * computed.tile_px.len() as f64));
     all.push(("planes.mean_px", reported.planes.mean_px, computed.planes.mean_px, 1e-6));
     all.push(("planes.smoothing_px", reported.planes.smoothing_px, computed.planes.smoothing_px, 1e-6));
     all.push(("planes.missed_tiles", reported.planes.missed_tiles as f64, computed.planes.missed_tiles as f64, 0.0));
@@ -288,6 +318,7 @@ fn figures(s: &Subject) -> Figures {
     );
 
     let scene = Arc::new(container::decode(&full.container).unwrap());
+    all.extend(counts(&full.report, &geometry, &scene));
     all.push(("codec_psnr", reported.codec_psnr, psnr_of(&scene.photo.rgb, &small.rgb), 1e-9));
     assert_eq!(reported.hidden_psnr, None, "readers derive hidden colours");
     if small.rgb.len() < 1_000_000 {
@@ -305,6 +336,11 @@ fn figures(s: &Subject) -> Figures {
     all
 }
 
+/// Whether a reported figure of twice or half the value would be noticed.
+fn is_telling(&(_, reported, computed, slack): &(&str, f64, f64, f64)) -> bool {
+    [2.0, 0.5].iter().all(|by| (by * reported - computed).abs() > slack)
+}
+
 fn check(s: &Subject) {
     let all = figures(s);
     println!("{:<16}{:<40}{:>14}{:>14}", s.name, "figure", "reported", "computed");
@@ -316,22 +352,38 @@ fn check(s: &Subject) {
     }
 }
 
+fn flat() -> Subject {
+    subject("flat", (200, 150), &DisparityMap::from_fn(200, 150, |_, _| 0.5), Options::default())
+}
+
+fn noisy() -> Subject {
+    let noisy = DisparityMap::from_fn(200, 150, |x, y| (0.4 + 0.1 * (noise(x, y) - 0.5)).clamp(0.0, 1.0));
+    let options = Options { view_box: ViewBox { x: 0.119, y: 0.05, z: 0.2 }, verify_prune: true, ..Options::default() };
+    subject("noisy depth", (200, 150), &noisy, options)
+}
+
+fn zigzag() -> Subject {
+    let zigzag = DisparityMap::from_fn(300, 200, |x, y| ((x + y) as i32 % 10 - 5).unsigned_abs() as f32 / 5.0);
+    subject("zigzag", (300, 200), &zigzag, Options { max_error: 0.2, verify_prune: true, ..Options::default() })
+}
+
+fn budgeted() -> Subject {
+    subject("budgeted", (900, 600), &DisparityMap::from_fn(900, 600, stairs), Options { budget_ms: Some(20.0), ..Options::default() })
+}
+
 #[test]
 fn a_flat_photo() {
-    check(&subject("flat", (200, 150), &DisparityMap::from_fn(200, 150, |_, _| 0.5), Options::default()));
+    check(&flat());
 }
 
 #[test]
 fn a_noisy_depth_map() {
-    let noisy = DisparityMap::from_fn(200, 150, |x, y| (0.4 + 0.1 * (noise(x, y) - 0.5)).clamp(0.0, 1.0));
-    let options = Options { view_box: ViewBox { x: 0.119, y: 0.05, z: 0.2 }, verify_prune: true, ..Options::default() };
-    check(&subject("noisy depth", (200, 150), &noisy, options));
+    check(&noisy());
 }
 
 #[test]
 fn a_zigzag() {
-    let zigzag = DisparityMap::from_fn(300, 200, |x, y| ((x + y) as i32 % 10 - 5).unsigned_abs() as f32 / 5.0);
-    check(&subject("zigzag", (300, 200), &zigzag, Options { max_error: 0.2, verify_prune: true, ..Options::default() }));
+    check(&zigzag());
 }
 
 #[test]
@@ -350,11 +402,95 @@ fn twelve_megapixels() {
 
 #[test]
 fn a_budget() {
-    let s =
-        subject("budgeted", (900, 600), &DisparityMap::from_fn(900, 600, stairs), Options { budget_ms: Some(20.0), ..Options::default() });
+    let s = budgeted();
     let report = made(&s, |_| {}).report;
     let budget = report.budget.unwrap();
     assert!(budget.chose.contains(&format!("--max-error {}", report.error.planes.bound_px.unwrap())), "{budget:?}");
     assert!(report.error.reduction.is_some() && budget.outcome_ms > 0.0 && budget.predicted_ms > 0.0);
     check(&s);
+}
+
+#[test]
+fn twice_or_half_of_any_figure_would_be_noticed() {
+    let all: Figures = [flat(), noisy(), zigzag(), holes().0, budgeted()].iter().flat_map(figures).collect();
+    // differences are 0, and so are errors of pruning, which the tests of `run::prune_error` compute
+    let zero = |name: &str| name.ends_with("largest difference") || name.starts_with("prune.");
+    let telling: Vec<&str> = all.iter().filter(|f| is_telling(f)).map(|f| f.0).collect();
+    let dull: Vec<&str> = all.iter().map(|f| f.0).filter(|name| !zero(name) && !telling.contains(name)).collect();
+    assert!(dull.is_empty(), "{dull:?}");
+}
+
+/// Gives each hidden texel a colour by its place in the tile.
+struct Psi;
+
+fn psi_colour(x: u32, y: u32) -> [f32; 3] {
+    [x as f32 / 70.0, y as f32 / 90.0, (x + y) as f32 / 150.0]
+}
+
+impl Network for Psi {
+    fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+        let [count, _, height, width] = inputs[0].shape[..] else { panic!("{:?}", inputs[0].shape) };
+        let place = |i: usize| psi_colour((i % width) as u32, (i / width) as u32);
+        let channels = (0..count * 3).flat_map(|n| (0..height * width).map(move |i| place(i)[n % 3]));
+        Ok(vec![Tensor { shape: vec![count, 3, height, width], data: channels.collect() }])
+    }
+}
+
+#[test]
+fn hidden_colours_of_a_network() {
+    let map = DisparityMap::from_fn(300, 200, |x, y| if (90..200).contains(&x) && (60..150).contains(&y) { 0.8 } else { 0.2 });
+    let s = subject("hidden", (300, 200), &map, Options { refine: Switch::On, ..Options::default() });
+    let models = Models { psi: Some(Arc::new(Psi)), ..models() };
+    let made = make(&models, &Limits::default(), &s.photo, Some(&s.map), &s.options, &Silent).unwrap();
+    let scene = container::decode(&made.container).unwrap();
+    let (mut squares, mut values, mut refined) = (0.0, 0, std::collections::BTreeSet::new());
+    for l in &scene.layers {
+        let (tile, mut next) = (scene.grid.rect(l.tile), l.first_hidden);
+        for i in (0..l.rect.area()).filter(|i| scene.texels.class[l.first_texel + i] == Class::Hidden as u8) {
+            let (x, y) = (l.rect.x + i as u32 % l.rect.w - tile.x, l.rect.y + i as u32 / l.rect.w - tile.y);
+            let want = psi_colour(x, y).map(|v| f64::from((255.0 * v).round().clamp(0.0, 255.0)));
+            squares += want.iter().zip(scene.texels.hidden[next]).map(|(a, b)| (a - f64::from(b)).powi(2)).sum::<f64>();
+            (next, values) = (next + 1, values + 3);
+            refined.insert(l.tile);
+        }
+    }
+    let want = psnr(squares, values);
+    assert!(want < 90.0 && (made.report.error.hidden_psnr.unwrap() - want).abs() < 1e-6, "{:?} of {want}", made.report.error.hidden_psnr);
+    assert!(!refined.is_empty() && made.report.left_out.tiles_not_refined == made.report.tiles - refined.len());
+}
+
+#[test]
+fn figures_of_a_stereo_pair() {
+    let (width, height) = (400u32, 300u32);
+    let [far, near, rows] = [6, 14, 3];
+    let unrelated = 300;
+    let spot = |x: u32, y: u32| (noise(x / 3, y / 3) * 255.0) as u8;
+    let eye = |colour: &dyn Fn(u32, u32) -> u8| {
+        let rgb: Vec<u8> = (0..width * height).flat_map(|i| [colour(i % width, i / width); 3]).collect();
+        png(width, height, &rgb, ExtendedColorType::Rgb8)
+    };
+    // the second eye sees a quarter of something else
+    let shift = |y: u32| if y < height / 2 { far } else { near };
+    let beside = |x: u32, y: u32| if x < unrelated { spot(x + shift(y), y) } else { spot(x + 5000, y + 700) };
+    let (first, level, lower) = (eye(&spot), eye(&beside), eye(&|x, y| beside(x, y + rows)));
+    let estimate =
+        |p: &Photo| Ok::<_, DepthError>(DisparityMap::from_fn(p.width, p.height, |_, y| if y < p.height / 2 { 0.2 } else { 0.8 }));
+    let models = Models { depth: Arc::new(("halves", estimate)), ..models() };
+    let figures = |first: &[u8], second: &[u8]| {
+        let options = Options { stereo: Stereo::Beside, ..Options::default() };
+        make(&models, &Limits::default(), first, Some(second), &options, &Silent).unwrap().report.error.stereo.unwrap()
+    };
+    let close = |a: f64, b: f64, by: f64| assert!((a - b).abs() <= by, "{a}, not {b}");
+    let f = figures(&first, &level);
+    // matches end a shift before what is unrelated, and begin one after the left border
+    close(f.measured, f64::from(unrelated) / f64::from(width), 0.05);
+    close(f.estimated, 1.0 - f.measured, 0.06);
+    for (a, b) in [(f.nearest_px, near), (f.farthest_px, far), (f.infinity_px, 0), (f.rows_before_px, 0), (f.rows_px, 0)] {
+        close(a, b.into(), 1.0);
+    }
+    assert_eq!((f.crossed, f.width), (false, width));
+    assert!(figures(&level, &first).crossed);
+    let f = figures(&first, &lower);
+    close(f.rows_before_px, rows.into(), 0.75);
+    close(f.rows_px, 0.0, 0.75);
 }

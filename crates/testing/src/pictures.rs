@@ -39,12 +39,16 @@ pub fn png(width: u32, height: u32, samples: &[u8], colour: ExtendedColorType) -
     file
 }
 
-/// A PNG file of smooth waves with some edges.
+/// A PNG file of [`wave`].
 pub fn waves(width: u32, height: u32) -> Vec<u8> {
-    let wave = |v: u32, by: f64| (127.5 + 100.0 * (f64::from(v) / by).sin()) as u8;
-    let pixel = |x: u32, y: u32| [wave(x, 9.0), wave(y, 7.0), if (x / 30 + y / 20).is_multiple_of(2) { 200 } else { 90 }];
-    let rgb: Vec<u8> = (0..width * height).flat_map(|i| pixel(i % width, i / width)).collect();
+    let rgb: Vec<u8> = (0..width * height).flat_map(|i| wave(i % width, i / width)).collect();
     png(width, height, &rgb, ExtendedColorType::Rgb8)
+}
+
+/// Colour of a pixel in smooth waves with some edges.
+pub fn wave(x: u32, y: u32) -> [u8; 3] {
+    let along = |v: u32, by: f64| (127.5 + 100.0 * (f64::from(v) / by).sin()) as u8;
+    [along(x, 9.0), along(y, 7.0), if (x / 30 + y / 20).is_multiple_of(2) { 200 } else { 90 }]
 }
 
 /// A number of 0 to 1 for a pixel, unlike those of its neighbours.

@@ -10,7 +10,10 @@ import { shifted } from '../../view/camera.js';
 /** Count of views in the mean of a picture at rest, and most views per frame. */
 const SAMPLES = 64;
 const STEP = 8;
-/** Radius of the aperture at full blur, in units of the nearest distance: half the default view box, so no view sees beyond it. */
+/**
+ * Radius of the aperture at full blur, in units of the nearest distance. Viewers go half-way to the border of the default view box by
+ * themselves, so the aperture stays within it.
+ */
 const LARGEST = 0.015;
 
 export class DepthOfField {

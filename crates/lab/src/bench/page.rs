@@ -34,6 +34,7 @@ const READING: &str = "<h2>How to read the plots</h2><ul>\
 <details><summary>What the figures mean</summary><dl>\
 <dt>view, dB</dt><dd>A scene is made of one photo and drawn from other places, where the exact picture is known: PSNR against that, without the outer 15 % on \
 each side. 1 dB more is a tenth less error.</dd>\
+<dt>view from ahead, dB</dt><dd>That of the one view from nearer, at the front of the default view box.</dd>\
 <dt>processing, ms</dt><dd>Wall time from the disparity map to the container: without reading the photo, the depth network and the measuring of errors.</dd>\
 <dt>parallax error, px</dt><dd>Pixels between where planes show a point and where the disparity map has it, by the camera of the view box that shows them the \
 farthest apart; mean over the photo.</dd>\

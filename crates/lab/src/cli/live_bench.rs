@@ -23,8 +23,8 @@ pub(super) struct LiveBenchArgs {
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
     bitrate: Vec<u32>,
     /// Milliseconds that the geometry of a frame may take; may be several. Sets depth size, planes and tiles by earlier measurements. 0: no
-    /// limit
-    #[arg(long, value_delimiter = ',', default_value = "0", value_parser = live::not_negative, value_name = "MS,…")]
+    /// limit. Default: that of the server's rooms
+    #[arg(long, value_delimiter = ',', default_values_t = [tmpi_live::BUDGET_MS], value_parser = live::not_negative, value_name = "MS,…")]
     budget_ms: Vec<f64>,
     /// Write plots of error against run time and bytes to this file, if several points are measured
     #[arg(long, value_name = "FILE.html")]
@@ -98,7 +98,7 @@ mod tests {
     #[test]
     fn sizes_rates_and_budgets_are_combined() {
         let at = |size, bitrate, budget_ms| OperatingPoint { size, bitrate, budget_ms };
-        assert_eq!(asked(""), [at((320, 240), 384_000, 0.0)]);
+        assert_eq!(asked(""), [at((320, 240), 384_000, tmpi_live::BUDGET_MS)]);
         assert_eq!(
             asked("--size 320x240,640x480 --budget-ms 0,10"),
             [at((320, 240), 384_000, 0.0), at((320, 240), 384_000, 10.0), at((640, 480), 1_536_000, 0.0), at((640, 480), 1_536_000, 10.0)]

@@ -167,6 +167,7 @@ pub fn run() -> Checked {
     compositing::run(&mut checked, &hosts);
     photos::run(&mut checked, &hosts);
     quantisation::run(&mut checked, &hosts);
+    view_box_corners::disc(&mut checked, |scene| scene);
     checked
 }
 

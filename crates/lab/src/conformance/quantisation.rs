@@ -90,7 +90,7 @@ pub(super) fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) ->
         ("largest side 1", Options { max_size: Some(1), ..plain() }),
     ];
     for (name, options) in all {
-        checked.case("quantisation", &format!("identity view, {name}"), "container", "levels", 0.0, || {
+        checked.case("quantisation", &format!("identity view against the container's photo, {name}"), "container", "levels", 0.0, || {
             identity(kernel(&file, &options).as_ref(), &cpu)
         });
         let scene = kernel(&file, &options);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::Checked;
-use super::scenes::own_camera;
+use super::scenes;
 use crate::files;
 use tmpi_core::container;
 use tmpi_core::container::PhotoFormat;
@@ -34,7 +34,7 @@ fn uncovered(scene: &Arc<Scene>, share: f64) -> [f64; 2] {
     let (mut open, mut all) = ([0, 0], 0);
     for pivot in [0.0, 1.0] {
         for pose in corners(&reached, pivot) {
-            let Ok(view) = cpu.render(scene, &own_camera(scene, pose)) else { return [f64::INFINITY; 2] };
+            let Ok(view) = cpu.render(scene, &scenes::own_camera(scene, pose)) else { return [f64::INFINITY; 2] };
             for (open, least) in open.iter_mut().zip([HOLE, SEAM]) {
                 *open += view.rgba.iter().filter(|p| p[3] < least).count();
             }
@@ -44,12 +44,32 @@ fn uncovered(scene: &Arc<Scene>, share: f64) -> [f64; 2] {
     open.map(|open| 100.0 * open as f64 / all as f64)
 }
 
+/// A disc before a wall in the default view box. `kernel` changes it.
+pub(super) fn disc(checked: &mut Checked, kernel: impl FnOnce(Scene) -> Scene) {
+    let scene = Scene { view_box: Options::VIEW_BOX, ..scenes::disc(200, 120, 64, 0.2) };
+    corners_of(checked, "a disc", || Some(Arc::new(kernel(scene))));
+}
+
 /// A photo's scene by the default options, at most [`SIDE`] pixels a side.
 fn scene(models: &Models, path: &Path) -> Option<Arc<Scene>> {
     let file = std::fs::read(path).ok()?;
     let options = Options { max_size: Some(SIDE), ..Options::default() };
     let made = tmpi_pipeline::make(models, &Limits::default(), &file, None, &options, &Silent).ok()?;
     container::decode(&made.container).ok().map(Arc::new)
+}
+
+/// Counts holes and seams of the scene that `kernel` makes.
+fn corners_of(checked: &mut Checked, name: &str, kernel: impl FnOnce() -> Option<Arc<Scene>>) {
+    let made = std::panic::catch_unwind(std::panic::AssertUnwindSafe(kernel)).ok().flatten();
+    for (share, holes, seams) in PLACES {
+        let mut found = [f64::INFINITY; 2];
+        let name = format!("{} them, {name}", if share < 1.0 { "half-way to" } else { "at" });
+        checked.case(FAMILY, &format!("{name}, holes"), "cpu", "% holes", holes, || {
+            found = made.as_ref().map_or(found, |s| uncovered(s, share));
+            found[0]
+        });
+        checked.case(FAMILY, &format!("{name}, seams"), "cpu", "% seams", seams, || found[1]);
+    }
 }
 
 /// Checks every photo of the folders; a folder without one is a skipped case.
@@ -61,17 +81,7 @@ pub(super) fn run(checked: &mut Checked, folders: &[PathBuf], models: &Models) {
             checked.skipped.push(format!("{}: no photo in it", folder.display()));
         }
         for path in photos {
-            let name = files::name(&path);
-            let made = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| scene(models, &path))).ok().flatten();
-            for (share, holes, seams) in PLACES {
-                let mut found = [f64::INFINITY; 2];
-                let name = format!("{} them, {name}", if share < 1.0 { "half-way to" } else { "at" });
-                checked.case(FAMILY, &name, "cpu", "% holes", holes, || {
-                    found = made.as_ref().map_or(found, |s| uncovered(s, share));
-                    found[0]
-                });
-                checked.case(FAMILY, &name, "cpu", "% seams", seams, || found[1]);
-            }
+            corners_of(checked, &files::name(&path), || scene(models, &path));
         }
     }
 }

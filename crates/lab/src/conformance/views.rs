@@ -18,14 +18,18 @@ const FEW: usize = 100;
 const WITHOUT_ORDER: [(&str, &str); 2] = [("translucent stack", "edge-on"), ("translucent stack", "nearly edge-on")];
 
 /// Percent of pixels that may be wrong: quad edges differ between rasterisers; in `f32` a pixel on the line where two surfaces cross
-/// may show the other one, in `f64` only where tiles overlap on one surface.
+/// may show the other one, in `f64` only where tiles overlap on one surface. The largest shares found: 0.017 by the reference, 0.021 by
+/// the CPU, and by Vulkan in software 0.67 (two pixels of a row), 0.62 and 0.6.
 pub(super) fn bound(host: &dyn Renderer) -> f64 {
     match host.name() {
         "reference" => 0.02,
         "cpu" => 0.05,
-        _ => 1.5,
+        _ => 0.7,
     }
 }
+
+/// [`bound`] where no quad is seen edge-on: the share found is 0 on every backend.
+const NEAR_BOUND: f64 = 0.02;
 
 /// Percent of pixels of a view that are wrong; infinite where nothing was drawn.
 pub(super) fn wrong(host: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera, want: &[[f64; 4]]) -> f64 {
@@ -75,7 +79,7 @@ pub(super) fn near(checked: &mut Checked, host: &dyn Renderer) {
         for tz in [0.9, 0.99, 0.997, 0.998, 0.999, 0.999_02, 1.0 - NEAR, 0.9991, 0.9993, 0.9995] {
             let camera = own_camera(&scene, Pose::at(0.0, 0.0, tz));
             let want = cast(&scene, &camera);
-            checked.case("near", &format!("{name}, {tz:.4} of the way"), host.name(), "% of pixels", bound(host), || {
+            checked.case("near", &format!("{name}, {tz:.4} of the way"), host.name(), "% of pixels", NEAR_BOUND, || {
                 wrong(host, &scene, &camera, &want)
             });
         }

@@ -15,12 +15,10 @@ use super::encode::{H264, sound_bytes};
 use super::sequence::{Kind, Sequence, Shot};
 use super::side_view::{Moment, Reader, ms};
 use super::sweep::OperatingPoint;
-use super::{Flags, Row, Settings, room, tiles};
+use super::{Flags, Row, Settings, VIEW_BOX, room, tiles};
 use crate::bench::Figures;
 use crate::{LabError, files};
 
-/// Sideways offset of the side view: the border of the default view box.
-pub const SIDE_OFFSET: f64 = 0.03;
 /// Corners of the view box for which pictures are written.
 const CORNERS: [(&str, (f64, f64)); 4] =
     [("upper-left", (-1.0, -1.0)), ("upper-right", (1.0, -1.0)), ("lower-left", (-1.0, 1.0)), ("lower-right", (1.0, 1.0))];
@@ -166,7 +164,7 @@ fn keep_pictures(
         keep(what, picture)?;
     }
     for (corner, (tx, ty)) in CORNERS {
-        let at = (tx * SIDE_OFFSET, ty * SIDE_OFFSET);
+        let at = (tx * VIEW_BOX.x, ty * VIEW_BOX.y);
         keep(corner, &reader.view(m, Pose::at(at.0, at.1, 0.0))?)?;
         keep(&format!("{corner}-truth"), &sequence.view(taken, at))?;
     }

@@ -14,6 +14,7 @@ use std::time::Duration;
 use serde::{Serialize, Serializer};
 
 use crate::LabError;
+use tmpi_core::ViewBox;
 use tmpi_core::live::MAX_MOTION_FRAMES;
 use tmpi_core::live::chunk::Area;
 use tmpi_core::live::coder_prior::Learning;
@@ -26,6 +27,9 @@ use sweep::OperatingPoint;
 
 /// Default seed of the first scene, far from the seeds used for training.
 pub const SEED: u64 = 900_100;
+/// View box of the measured rooms, which is that of the server's rooms. The side view is at its right border. Figures of views and flicker
+/// in comments of `tmpi-live` were measured with the side view at a quarter of that, and without a budget.
+pub const VIEW_BOX: ViewBox = Options::VIEW_BOX;
 /// First seed of the training scenes of the chunk coders.
 const TRAINING_SEED: u64 = 700_000;
 /// Number of training scenes, and frames of each.
@@ -130,7 +134,7 @@ fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<St
         }
         progress(kind.name());
         let Flags { scene, frames, every, .. } = settings.flags;
-        let sequence = Sequence::new(kind, scene, settings.at.size, frames * every, measure::SIDE_OFFSET);
+        let sequence = Sequence::new(kind, scene, settings.at.size, frames * every, VIEW_BOX.x);
         rows.push(measure::run(settings, kind, &sequence)?);
     }
     Ok((rows, skipped))
@@ -140,7 +144,7 @@ fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<St
 fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64) -> Room {
     let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
     let Flags { parallax, max_error, recheck_frames, recheck_blocks, cooldown_ms, .. } = settings.flags;
-    let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error, ..Options::default() };
+    let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error, view_box: VIEW_BOX, ..Options::default() };
     let recheck = RecheckSettings { frames: recheck_frames, blocks: recheck_blocks };
     Room { options, parallax, cooldown: Duration::from_millis(cooldown_ms.into()), recheck, frame_ms, ..Room::default() }
 }
@@ -154,7 +158,7 @@ pub fn learn(settings: &Settings, progress: &dyn Fn(&str)) -> Result<String, Lab
     for lesson in 0..LESSONS.0 {
         progress(&format!("lesson {} of {}", lesson + 1, LESSONS.0));
         let kind = if lesson % 3 == 2 { Kind::Moving } else { Kind::Still };
-        let sequence = Sequence::new(kind, TRAINING_SEED + 3 * lesson, settings.at.size, LESSONS.1, measure::SIDE_OFFSET);
+        let sequence = Sequence::new(kind, TRAINING_SEED + 3 * lesson, settings.at.size, LESSONS.1, VIEW_BOX.x);
         let (mut encoder, mut geometry) = (
             H264::new(settings.at.size, settings.at.bitrate)?,
             FramePipeline::new(settings.models.clone(), room(settings, &sequence, 0.0)),

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Row, Settings, run};
+use super::{Row, Settings, VIEW_BOX, run};
 use crate::LabError;
 use crate::bench::{Axis, Curve, Experiment, Machine, Point as Plotted, Results};
 use crate::table::table;
@@ -36,6 +36,8 @@ pub struct Points {
     pub machine: Machine,
     /// Frames per sequence.
     pub frames: u32,
+    /// How far to the right of the camera the side view is, in units of the nearest distance: the border of a room's view box.
+    pub side_view: f64,
     /// Results of all sequences for each point, in the given order of points.
     pub points: Vec<Point>,
     /// Skipped sequences, each with the reason.
@@ -57,14 +59,20 @@ pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&st
         points.extend(rows.into_iter().map(|row| Point { at, row }));
         skipped = without;
     }
-    Ok(Points { machine: Machine::this(), frames: settings.flags.frames, points, skipped, seconds: start.elapsed().as_secs_f64() })
+    Ok(Points {
+        machine: Machine::this(),
+        frames: settings.flags.frames,
+        side_view: VIEW_BOX.x,
+        points,
+        skipped,
+        seconds: start.elapsed().as_secs_f64(),
+    })
 }
 
 impl std::fmt::Display for OperatingPoint {
     /// Formats the point as command-line options.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "--size {}x{} --bitrate {}", self.size.0, self.size.1, self.bitrate)?;
-        if self.budget_ms > 0.0 { write!(f, " --budget-ms {}", self.budget_ms) } else { Ok(()) }
+        write!(f, "--size {}x{} --bitrate {} --budget-ms {}", self.size.0, self.size.1, self.bitrate, self.budget_ms)
     }
 }
 
@@ -101,7 +109,7 @@ impl Points {
         };
         let mut lines = vec![line("", &|row| row.sequence.into())];
         lines.extend(names.into_iter().map(|name| line(name, &|row| row.get(name).map_or(String::new(), |v| format!("{v:.3}")))));
-        self.points.first().map_or(String::new(), |p| format!("{}, {} frames\n", p.at, self.frames)) + &table(1, &lines)
+        self.points.first().map_or(String::new(), |p| format!("{}, {} frames; {}\n", p.at, self.frames, self.place())) + &table(1, &lines)
     }
 
     fn lines(&self) -> String {
@@ -114,17 +122,23 @@ impl Points {
             own.into_iter().chain(figures).collect::<Vec<_>>()
         };
         let lines: Vec<Vec<String>> = std::iter::once(head).chain(self.points.iter().map(line)).collect();
-        format!("{} frames per sequence; PSNR in dB, SSIM and flicker (levels) of the side view\n", self.frames) + &table(1, &lines)
+        format!("{} frames per sequence; PSNR in dB, SSIM and flicker (levels) of the side view; {}\n", self.frames, self.place())
+            + &table(1, &lines)
+    }
+
+    /// Where the side view is.
+    fn place(&self) -> String {
+        format!("side view {} to the right, the border of a room's view box", self.side_view)
     }
 
     /// The results as a page with plots of error against run time and bytes.
     pub fn page(&self) -> String {
-        let about = "Side views against the truth; means over the frames of one run of each sequence.";
+        let about = format!("Side views against the truth; means over the frames of one run of each sequence; {}.", self.place());
         let time = Axis::new("server, ms per frame", true, Some(false));
         let bytes = Axis::new("video, geometry and sound, kbit/s", true, Some(false));
         let plot = |id: &str, title: &str, x: Axis, of: &str| {
             let y = Axis::new("PSNR, dB", false, Some(true));
-            let mut e = Experiment { id: id.into(), title: title.into(), about: about.into(), x, y, curves: self.curves(of) };
+            let mut e = Experiment { id: id.into(), title: title.into(), about: about.clone(), x, y, curves: self.curves(of) };
             e.mark();
             e
         };
@@ -189,24 +203,35 @@ mod tests {
             },
         };
         let points = vec![point(320, 0.0, 24.5), point(320, 10.0, 23.0), point(640, 0.0, 26.0)];
-        Points { machine: Machine::this(), frames: 9, points, skipped: vec!["cut: a < b".into()], seconds: 1.0 }
+        Points { machine: Machine::this(), frames: 9, side_view: VIEW_BOX.x, points, skipped: vec!["cut: a < b".into()], seconds: 1.0 }
     }
 
     #[test]
     fn the_table_has_separate_lines_and_columns() {
         let table = points().table();
+        assert!(table.lines().next().unwrap().contains("side view 0.12 to the right"), "{table}");
         let lines: Vec<&str> = table.lines().skip(1).collect();
         assert_eq!(lines.len(), 4);
         assert!(lines[1].contains("none") && lines[2].contains(" 10 ") && lines[3].contains("640x240"));
         let one = Points { points: vec![points().points.remove(1)], ..points() }.table();
-        assert!(one.contains("--budget-ms 10, 9 frames") && one.contains("side view, dB") && one.contains("23.000"), "{one}");
+        assert!(
+            one.contains("--budget-ms 10, 9 frames; side view 0.12 to the right")
+                && one.contains("side view, dB")
+                && one.contains("23.000"),
+            "{one}"
+        );
     }
 
     #[test]
     fn the_page_plots_time_and_bytes_by_size() {
         let page = points().page();
         assert_eq!(page.matches("<svg").count(), 2);
-        assert!(page.contains("still camera, 320x240") && page.contains("still camera, 640x240") && page.contains("cut: a &lt; b"));
+        assert!(
+            page.contains("side view 0.12 to the right")
+                && page.contains("still camera, 320x240")
+                && page.contains("still camera, 640x240")
+                && page.contains("cut: a &lt; b")
+        );
         assert!(page.contains("--size 320x240 --bitrate 384000 --budget-ms 10"));
     }
 
@@ -228,6 +253,10 @@ mod tests {
         let missing: Vec<&str> = FIGURES.iter().map(|f| f.1).filter(|name| found.points[0].row.get(name).is_none()).collect();
         assert_eq!(missing, ["depth network, pixels"]);
         let json: serde_json::Value = serde_json::to_value(&found).unwrap();
-        assert!(json["points"][1]["budget_ms"] == 1e-3 && json["points"][0]["figures"]["side view, dB"].is_number());
+        assert!(
+            json["side_view"] == 0.12
+                && json["points"][1]["budget_ms"] == 1e-3
+                && json["points"][0]["figures"]["side view, dB"].is_number()
+        );
     }
 }

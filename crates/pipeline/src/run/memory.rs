@@ -1,17 +1,18 @@
 //! Upper bounds of the memory that making a photo takes, known before it is decoded.
 //!
-//! [`bytes`] exceeds every peak of the process that `tests/load/making_memory.py` measured: on photographs, and on pictures and depth maps of one
-//! ramp, of noise and of blocks, with 0.5 to 50 megapixels, tiles from 8 pixels to the whole photo, and 1 to 64 planes per tile.
+//! [`Options::memory_with`] exceeds every peak of the process that `tests/load/making_memory.py` measured: on photographs, and on pictures and
+//! depth maps of one ramp, of noise and of blocks, with 0.003 to 50 megapixels, tiles from 8 pixels to the whole photo, and 1 to 64 planes per
+//! tile, with networks and with pruning verified.
 
-use super::{ExtraPicture, MakeError, Options, PlaneCount, Sizes};
+use super::{Denoise, ExtraPicture, MakeError, Options, PlaneCount, Sizes, Switch};
 use crate::depth::DepthError;
 use crate::photo::{Limits, PhotoError, reduced_size};
 use crate::stereo::Stereo;
 
-/// Bytes that do not depend on the photo: program, tables and, for the largest part, the embedded depth network. With a depth map, the
-/// program takes 16 MiB for a photo of 3000 pixels. With the network, it takes 99 MiB, and 118 MiB for 0.25 and 0.5 megapixels, of which
-/// the other terms of the formula cover 15 and 29 MiB.
-const BASE: u64 = 112 << 20;
+/// Bytes that do not depend on the photo: program, tables and, for the largest part, the embedded depth network. The network's part depends on
+/// the processor. The most that was measured with it is 119 MiB for a photo of 3000 pixels and 128 MiB for 0.1 megapixels, of which the other
+/// terms of the formula cover 0.2 and 7 MiB; with a depth map it is 36 MiB.
+const BASE: u64 = 128 << 20;
 /// Bytes per pixel of the photo, with any number of planes.
 const PIXEL: u64 = 32;
 /// Bytes per pixel for each plane of its tile.
@@ -22,6 +23,12 @@ const LAYER: u64 = 1200;
 const DECODED: u64 = 16;
 /// Bytes per pixel of the reduced photo, which is kept while another picture is decoded.
 const PHOTO: u64 = 3;
+/// Bytes for the network Θ, with those per pixel of the map that it denoises.
+const THETA: u64 = 64 << 20;
+const DENOISED: u64 = 40;
+/// Bytes per pixel of a layer if the network Ψ refines it, or if pruning is verified on views of the whole photo.
+const REFINED: u64 = 8;
+const VERIFIED: u64 = 32;
 /// Bytes for measuring depth against a second picture of any size: matching runs at its own size.
 const STEREO: u64 = 80 << 20;
 /// A photo is not reduced below this number of pixels to fit into memory: about as many as a screen has.
@@ -30,21 +37,32 @@ const MIN_PIXELS: u64 = 2_000_000;
 /// fit, too.
 const MIN_PLANES: u32 = 2;
 
-/// Upper bound in bytes of the memory for making a scene of `pixels` pixels and `tiles` tiles, with a mean of `planes` planes per tile plus
-/// a background plane.
-pub fn bytes(pixels: u64, tiles: u64, planes: u32) -> u64 {
-    let layers = u64::from(planes) + 1;
-    BASE + pixels * (PIXEL + PLANE * layers) + tiles * layers * LAYER
-}
-
-/// The most planes per tile, without background planes, that fit into `memory` bytes; at least 1.
-pub fn most_planes(pixels: u64, tiles: u64, memory: u64) -> u32 {
-    let layer = pixels * PLANE + tiles * LAYER;
-    let layers = memory.saturating_sub(BASE + pixels * PIXEL) / layer.max(1);
-    u32::try_from(layers.saturating_sub(1)).unwrap_or(u32::MAX).max(1)
-}
-
 impl Options {
+    /// Upper bound in bytes of the memory for making a scene of `pixels` pixels and `tiles` tiles, with a mean of `planes` planes per tile
+    /// plus a background plane.
+    fn scene_bytes(&self, pixels: u64, tiles: u64, planes: u32) -> u64 {
+        self.photo_bytes(pixels) + (u64::from(planes) + 1) * self.layer_bytes(pixels, tiles)
+    }
+
+    /// The part of it that does not depend on planes.
+    fn photo_bytes(&self, pixels: u64) -> u64 {
+        let theta = if self.denoise == Denoise::Theta { THETA + pixels * DENOISED } else { 0 };
+        BASE + pixels * PIXEL + theta
+    }
+
+    /// The part of it for one layer per tile.
+    fn layer_bytes(&self, pixels: u64, tiles: u64) -> u64 {
+        let refined = if self.refine == Switch::On { REFINED } else { 0 };
+        let verified = if self.verify_prune { VERIFIED } else { 0 };
+        pixels * (PLANE + refined + verified) + tiles * LAYER
+    }
+
+    /// The most planes per tile, without background planes, that fit into `memory` bytes; at least 1.
+    pub fn most_planes(&self, pixels: u64, tiles: u64, memory: u64) -> u32 {
+        let layers = memory.saturating_sub(self.photo_bytes(pixels)) / self.layer_bytes(pixels, tiles).max(1);
+        u32::try_from(layers.saturating_sub(1)).unwrap_or(u32::MAX).max(1)
+    }
+
     /// Upper bound in bytes of the memory for making a photo from pictures of these sizes. With [`PlaneCount::Auto`], it assumes 2 planes
     /// per tile; more are placed only if they fit into [`Limits::memory`].
     pub fn memory(&self, sizes: &Sizes) -> u64 {
@@ -63,7 +81,7 @@ impl Options {
     /// [`Options::memory`] with a longest side of at most `side` pixels and a mean of `planes` planes per tile, without background planes.
     pub fn memory_with(&self, sizes: &Sizes, side: Option<u32>, planes: u32) -> u64 {
         let (w, h) = reduced_size(self.photo_size(sizes.file), side);
-        let made = bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
+        let made = self.scene_bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
         let halves = matches!(self.stereo, Stereo::LeftRight | Stereo::TopBottom);
         let measures = halves || matches!(sizes.extra, Some(ExtraPicture::SecondPicture(_)));
         // decoded pictures are freed before planes are placed
@@ -158,13 +176,32 @@ mod tests {
         Sizes { file, extra: Some(ExtraPicture::SecondPicture(eye)) }
     }
 
+    /// Options with networks and verification.
+    fn costly() -> Options {
+        Options { denoise: Denoise::Theta, refine: Switch::On, verify_prune: true, ..Options::default() }
+    }
+
+    #[test]
+    fn networks_and_verification_count() {
+        let of = |change: fn(&mut Options)| {
+            let mut options = Options::default();
+            change(&mut options);
+            options.scene_bytes(1000, 10, 2) - Options::default().scene_bytes(1000, 10, 2)
+        };
+        // two planes and a background plane
+        assert_eq!([of(|o| o.verify_prune = true), of(|o| o.refine = Switch::On)], [3000 * VERIFIED, 3000 * REFINED]);
+        assert_eq!(of(|o| o.denoise = Denoise::Theta), THETA + 1000 * DENOISED);
+    }
+
     #[test]
     fn most_planes_fit_and_one_more_does_not() {
         for (pixels, tiles) in [(500_000, 165), (12_000_000, 3888), (50_000_000, 16_000), (2_000_000, 40_775)] {
             for memory in [1_u64 << 30, 6 << 30, 20 << 30] {
-                let most = most_planes(pixels, tiles, memory);
-                assert!(most == 1 || bytes(pixels, tiles, most) <= memory);
-                assert!(bytes(pixels, tiles, most + 1) > memory);
+                for options in [Options::default(), costly()] {
+                    let most = options.most_planes(pixels, tiles, memory);
+                    assert!(most == 1 || options.scene_bytes(pixels, tiles, most) <= memory);
+                    assert!(options.scene_bytes(pixels, tiles, most + 1) > memory);
+                }
             }
         }
     }
@@ -190,17 +227,17 @@ mod tests {
     fn a_file_too_large_to_decode_is_rejected_with_any_options() {
         let limits = |mib: u64| Limits { memory: mib << 20, ..Limits::default() };
         let (file, options) = ((8160, 6120), Options::default());
-        // 112 MiB, and 16 bytes for each of 50 megapixels
-        let refused = options.check_decoded(file, &limits(873)).unwrap_err();
-        assert_eq!(refused.to_string(), options.side_by_memory(&Sizes::of_photo(file), &limits(873)).unwrap_err().to_string());
-        assert!(options.check_decoded(file, &limits(875)).is_ok());
+        // 128 MiB, and 16 bytes for each of 50 megapixels
+        let refused = options.check_decoded(file, &limits(889)).unwrap_err();
+        assert_eq!(refused.to_string(), options.side_by_memory(&Sizes::of_photo(file), &limits(889)).unwrap_err().to_string());
+        assert!(options.check_decoded(file, &limits(891)).is_ok());
         for planes in [PlaneCount::Auto, PlaneCount::Fixed(1)] {
             for tile in [TileSize::Full, TileSize::Pixels(8)] {
                 for max_size in [None, Some(1), Some(2000)] {
                     let options = Options { planes, tile, max_size, ..Options::default() };
                     for map in [None, Some((80, 60)), Some(file)] {
                         let sizes = Sizes { extra: map.map(ExtraPicture::DepthMap), ..Sizes::of_photo(file) };
-                        assert!(options.side_by_memory(&sizes, &limits(873)).is_err(), "{options:?} {map:?}");
+                        assert!(options.side_by_memory(&sizes, &limits(889)).is_err(), "{options:?} {map:?}");
                     }
                 }
             }

@@ -147,12 +147,29 @@ fn gcd(a: usize, b: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Options;
     use tmpi_core::{Camera, Pose, homography};
+    use tmpi_render::MotionRange;
 
     const BOX: ViewBox = ViewBox { x: 0.12, y: 0.08, z: 0.06 };
 
     fn movement() -> Parallax {
         Parallax::new(Intrinsics { fx: 60.0, fy: 62.0, cx: 51.0, cy: 29.0 }, BOX)
+    }
+
+    #[test]
+    fn viewers_that_move_by_themselves_show_a_part_of_the_error() {
+        let (k, most) = (Intrinsics::centred(1000, 750, 1000.0 * Intrinsics::DEFAULT_FOCAL_PER_WIDTH), MotionRange::TRAVEL);
+        // the shortest travel and the longest
+        for (travel, [middle, edge]) in
+            [(ViewBox { x: 0.02, y: 0.02, z: 0.04 }, [0.16, 0.31]), (ViewBox { x: most, y: most, z: 0.06 }, [0.5, 0.65])]
+        {
+            let px = |view_box, x: f64| Parallax::new(k, view_box).pixels((x, 375.0), 0.5, 0.6);
+            for (x, share) in [(500.0, middle), (0.0, edge), (1000.0, edge)] {
+                let found = px(travel, x) / px(Options::VIEW_BOX, x);
+                assert!((found - share).abs() < 0.006, "{found} at {x}");
+            }
+        }
     }
 
     #[test]

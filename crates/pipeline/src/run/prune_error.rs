@@ -4,11 +4,13 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use tmpi_core::{Camera, Class, Geometry, Intrinsics, LayerMask, Photo, Pose, Rect, Scene, TexturedLayer, compose, texture};
+use tmpi_core::{
+    Camera, Class, Geometry, Grid, Intrinsics, LayerMask, LayerMasks, Photo, Plane, Pose, Rect, TexturedLayer, Tile, compose, texture,
+};
 use tmpi_render::difference::{max_abs, share_off};
 use tmpi_render::{Cpu, RenderError, Renderer};
 
-use super::PruneError;
+use super::{Parallax, PruneError};
 
 /// Longest side of the compared views, in pixels.
 const SIDE: u32 = 512;
@@ -22,33 +24,46 @@ const LEVELS: u8 = 8;
 /// # Errors
 /// [`RenderError`] if a view cannot be drawn.
 pub fn verify(photo: &Photo, geometry: &Geometry) -> Result<PruneError, RenderError> {
-    compare(photo, &Geometry { matted: false, ..geometry.clone() }, cameras)
+    compare(photo, &Geometry { matted: false, ..geometry.clone() }, &Geometry::masks, &cameras(geometry))
 }
 
-/// Tiles per sample of [`sample`]. A sample makes the layers of 4 tiles, a sixteenth, again with and without pruning.
-const TILES_PER_SAMPLE: u32 = 64;
+/// One of this many tiles is in a part that [`sample`] compares, unless a single part takes more.
+const SHARE: u32 = 16;
+/// Fewest tiles of a photo that is sampled.
+const FEWEST: u32 = 32;
+/// Largest parallax between near and far, in pixels, that a part is made for: more than pruning searches, and that of the default view box
+/// on a photo of 1600 pixels.
+const MAX_PARALLAX: f64 = 160.0;
+/// Pixels around a texel that decide whether it is pruned, and its footprint.
+const DECISIVE: f64 = 98.0;
 
-/// Like [`verify`], but on small parts of the photo: for every [`TILES_PER_SAMPLE`] tiles, 2×2 tiles at the one with the most planes, cut
-/// out of their surroundings and seen from two opposite corners of the view box. Returns `None` if the photo has fewer than 32 tiles, so
-/// that this would not be quick compared to making, or fewer than two rows or columns of tiles.
+/// Like [`verify`], but on parts of the photo, seen from two opposite corners of the view box, or from so far on the way to them as
+/// [`MAX_PARALLAX`] allows. A part is a tile and all around it that parallax moves across. Of every stretch of tiles it is the tile with
+/// the largest step in depth, where pruning matters most. Returns `None` if the photo has fewer than 32 tiles, so that this would not be
+/// quick compared to making, or fewer than two rows or columns of tiles.
 ///
 /// # Errors
 /// [`RenderError`] if a view cannot be drawn.
 pub fn sample(photo: &Photo, geometry: &Geometry) -> Result<Option<PruneError>, RenderError> {
+    sample_of(photo, geometry, &Geometry::masks)
+}
+
+/// [`sample`] of pruning by `masks`.
+fn sample_of(photo: &Photo, geometry: &Geometry, masks: &Masks) -> Result<Option<PruneError>, RenderError> {
     let (grid, tiles) = (&geometry.grid, geometry.tiles.len() as u32);
-    if tiles < TILES_PER_SAMPLE / 2 || grid.columns() < 2 || grid.rows() < 2 {
+    if tiles < FEWEST || grid.columns() < 2 || grid.rows() < 2 {
         return Ok(None);
     }
-    let starts: Vec<u32> = (0..tiles).step_by(TILES_PER_SAMPLE as usize).collect();
+    let reach = Reach::of(geometry);
+    let side = 2 * reach.tiles(grid) + 1;
+    let stretch = SHARE * side.min(grid.columns()) * side.min(grid.rows());
+    let starts: Vec<u32> = (0..tiles).step_by(stretch as usize).collect();
     let one = |start: &u32| {
+        let all = *start..(start + stretch).min(tiles);
         // the first on ties
-        let busiest = (*start..(start + TILES_PER_SAMPLE).min(tiles))
-            .rev()
-            .max_by_key(|i| geometry.tiles[*i as usize].planes.len())
-            .unwrap_or(*start);
-        let (column, row) = ((busiest % grid.columns()).min(grid.columns() - 2), (busiest / grid.columns()).min(grid.rows() - 2));
-        let (photo, geometry) = part(photo, geometry, (column, row));
-        compare(&photo, &geometry, |scene| opposite(scene).into())
+        let deepest = all.rev().max_by(|a, b| step(geometry, *a).total_cmp(&step(geometry, *b))).unwrap_or(*start);
+        let Part { photo, geometry, tile } = Part::around(photo, geometry, deepest, reach.tiles(grid));
+        compare(&photo, &geometry, masks, &[1.0, -1.0].map(|side| reach.camera(&geometry, tile, side)))
     };
     let changes = starts.par_iter().map(one).collect::<Result<Vec<PruneError>, _>>()?;
     Ok(changes.into_iter().reduce(|a, b| PruneError {
@@ -58,47 +73,114 @@ pub fn sample(photo: &Photo, geometry: &Geometry) -> Result<Option<PruneError>, 
     }))
 }
 
-/// Cuts out 2×2 tiles, starting at `column` and `row`, as a photo of their own.
-fn part(photo: &Photo, geometry: &Geometry, (column, row): (u32, u32)) -> (Photo, Geometry) {
-    let Geometry { grid, intrinsics: k, view_box, tiles, .. } = geometry;
-    let (rect, own) = grid.part(column..column + 2, row..row + 2);
-    let line = |y: u32| &photo.rgb[y as usize * photo.width as usize + rect.x as usize..][..rect.w as usize];
-    let rgb = (rect.y..rect.y + rect.h).flat_map(line).copied().collect();
-    let tiles = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| tiles[((row + y) * grid.columns() + column + x) as usize].clone());
-    let intrinsics = Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..*k };
-    let Rect { w: width, h: height, .. } = rect;
-    (Photo { width, height, rgb }, Geometry { grid: own, intrinsics, view_box: *view_box, tiles: tiles.into(), matted: false })
+/// Derives the kept texels of a geometry.
+type Masks = dyn Fn(&Geometry) -> Vec<LayerMasks> + Sync;
+
+/// Largest step in depth within a tile: between its nearest and its farthest plane at its centre.
+fn step(geometry: &Geometry, tile: u32) -> f64 {
+    let Tile { planes, background, .. } = &geometry.tiles[tile as usize];
+    let all = || planes.iter().chain(background).map(|p| p.a);
+    all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min)
 }
 
-/// Cameras at two opposite corners of the view box, at the photo's own size.
-fn opposite(scene: &Scene) -> [Camera; 2] {
-    let (v, width, height) = (scene.view_box, scene.photo.width, scene.photo.height);
-    [1.0, -1.0].map(|s| Camera { pose: Pose::at(s * v.x, s * v.y, s * v.z), intrinsics: scene.intrinsics, width, height })
+/// How far the surfaces of a photo move apart in views from the view box.
+#[derive(Clone, Copy)]
+struct Reach {
+    /// Disparity midway between the farthest and the nearest surface.
+    middle: f64,
+    /// How far cameras go to the corners of the view box, as a share of the way.
+    share: f64,
+    /// Parallax in pixels between the farthest and the nearest surface, from there.
+    apart: f64,
 }
 
-fn compare(photo: &Photo, geometry: &Geometry, cameras: impl Fn(&Scene) -> Vec<Camera>) -> Result<PruneError, RenderError> {
+impl Reach {
+    fn of(geometry: &Geometry) -> Self {
+        let grid = &geometry.grid;
+        let ends = |p: &Plane| [p.a - p.b.abs() - p.c.abs(), p.a + p.b.abs() + p.c.abs()].map(|d| d.clamp(0.0, 1.0));
+        let planes = geometry.tiles.iter().flat_map(|t| t.planes.iter().chain(&t.background));
+        let (far, near) = planes.flat_map(ends).fold((1.0, 0.0), |(far, near), d| (f64::min(far, d), f64::max(near, d)));
+        let all = Rect { x: 0, y: 0, w: grid.width, h: grid.height };
+        let most = Parallax::new(geometry.intrinsics, geometry.view_box).most(all) * (near - far).max(0.0);
+        let share = if most > MAX_PARALLAX { MAX_PARALLAX / most } else { 1.0 };
+        Self { middle: f64::midpoint(far, near), share, apart: most * share }
+    }
+
+    /// Tiles to each side of a tile that are in views of it. Texels there are pruned as in the whole photo.
+    fn tiles(&self, grid: &Grid) -> u32 {
+        ((self.apart + DECISIVE + f64::from(grid.size)) / f64::from(grid.stride)).ceil() as u32
+    }
+
+    /// A camera near the corner of the view box on this `side`, 1 or -1. Its picture is as large as the tile and half the parallax around
+    /// it, and has the tile in the middle.
+    fn camera(&self, geometry: &Geometry, tile: u32, side: f64) -> Camera {
+        let (k, v, by) = (&geometry.intrinsics, geometry.view_box, side * self.share);
+        let pose = Pose::at(by * v.x, by * v.y, by * v.z);
+        let (centre, closer) = (geometry.grid.centre(tile), 1.0 - pose.tz * self.middle);
+        let size = (f64::from(geometry.grid.size) + self.apart).ceil();
+        // where the middle of the tile would be seen, less half the picture
+        let left = (centre.0 - k.cx - k.fx * pose.tx * self.middle) / closer + k.cx - size / 2.0;
+        let top = (centre.1 - k.cy - k.fy * pose.ty * self.middle) / closer + k.cy - size / 2.0;
+        let intrinsics = Intrinsics { cx: k.cx - left, cy: k.cy - top, ..*k };
+        Camera { pose, intrinsics, width: size as u32, height: size as u32 }
+    }
+}
+
+/// Tiles cut out as a photo of their own.
+struct Part {
+    photo: Photo,
+    geometry: Geometry,
+    /// Index of the tile that it was cut around.
+    tile: u32,
+}
+
+impl Part {
+    /// A tile and so many tiles to each side.
+    fn around(photo: &Photo, geometry: &Geometry, tile: u32, by: u32) -> Self {
+        let Geometry { grid, intrinsics: k, view_box, tiles, .. } = geometry;
+        let (column, row) = (tile % grid.columns(), tile / grid.columns());
+        let around = |at: u32, count: u32| at.saturating_sub(by)..(at + by + 1).min(count);
+        let (columns, rows) = (around(column, grid.columns()), around(row, grid.rows()));
+        let (rect, own) = grid.part(columns.clone(), rows.clone());
+        let line = |y: u32| &photo.rgb[y as usize * photo.width as usize + rect.x as usize..][..rect.w as usize];
+        let rgb = (rect.y..rect.y + rect.h).flat_map(line).copied().collect();
+        let index = |row: u32| columns.clone().map(move |column| row * grid.columns() + column);
+        let tiles = rows.clone().flat_map(index).map(|i| tiles[i as usize].clone()).collect();
+        let intrinsics = Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..*k };
+        Self {
+            photo: Photo { width: rect.w, height: rect.h, rgb },
+            geometry: Geometry { grid: own, intrinsics, view_box: *view_box, tiles, matted: false },
+            tile: (row - rows.start) * own.columns() + column - columns.start,
+        }
+    }
+}
+
+fn compare(photo: &Photo, geometry: &Geometry, masks: &Masks, cameras: &[Camera]) -> Result<PruneError, RenderError> {
     let all = texture(photo, geometry, geometry.masks_unpruned());
-    let kept: Vec<Vec<TexturedLayer>> = all.iter().zip(geometry.masks()).map(|(all, kept)| cut(all, &kept.layers)).collect();
-    let compose = |tiles| Arc::new(compose(photo.clone(), geometry, tiles));
-    let (all, kept) = (compose(all), compose(kept));
+    let kept: Vec<Vec<TexturedLayer>> = all.iter().zip(masks(geometry)).map(|(all, kept)| cut(all, &kept.layers)).collect();
     let cpu = Cpu::default().sharp_beyond_borders();
+    // one scene after the other, for memory
+    let views = |tiles| {
+        let scene = Arc::new(compose(photo.clone(), geometry, tiles));
+        cameras.iter().map(|camera| Ok(cpu.render(&scene, camera)?.rgba)).collect::<Result<Vec<_>, RenderError>>()
+    };
+    let (all, kept) = (views(all)?, views(kept)?);
     let mut change = PruneError { tiles: geometry.tiles.len(), ..PruneError::default() };
-    for camera in cameras(&all) {
-        let (a, b) = (cpu.render(&all, &camera)?.rgba, cpu.render(&kept, &camera)?.rgba);
-        change.max_abs = change.max_abs.max(max_abs(&a, &b));
-        change.share_off = change.share_off.max(share_off(&a, &b, LEVELS));
+    for (a, b) in all.iter().zip(&kept) {
+        change.max_abs = change.max_abs.max(max_abs(a, b));
+        change.share_off = change.share_off.max(share_off(a, b, LEVELS));
     }
     Ok(change)
 }
 
 /// Cameras at the corners of the view box and the centres of its faces.
-fn cameras(scene: &Scene) -> Vec<Camera> {
-    let (w, h) = (scene.photo.width, scene.photo.height);
+fn cameras(geometry: &Geometry) -> Vec<Camera> {
+    let (w, h) = (geometry.grid.width, geometry.grid.height);
     let scale = (f64::from(SIDE) / f64::from(w.max(h))).min(1.0);
     let size = |v: u32| ((f64::from(v) * scale).round() as u32).max(1);
     let (width, height) = (size(w), size(h));
-    let intrinsics = scene.intrinsics.resized((w, h), (width, height));
-    let v = scene.view_box;
+    let intrinsics = geometry.intrinsics.resized((w, h), (width, height));
+    let v = geometry.view_box;
     let step = |i: u32| f64::from(i % 3) - 1.0;
     let all = (0..27).map(|i| [step(i), step(i / 3), step(i / 9)]);
     all.filter(|p| [1, 3].contains(&p.iter().filter(|c| **c != 0.0).count()))
@@ -131,7 +213,8 @@ fn cut_layer(full: &TexturedLayer, kept: &LayerMask) -> TexturedLayer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tmpi_core::{Grid, Intrinsics, Plane, Tile, ViewBox};
+    use crate::Options;
+    use tmpi_core::ViewBox;
 
     /// A near square in front of a far wall of another colour.
     fn scene() -> (Photo, Geometry) {
@@ -150,6 +233,58 @@ mod tests {
             matted: false,
         };
         (photo, geometry)
+    }
+
+    /// A wide photo of a wall behind a slab, whose edges uncover more of the wall than pruning searches.
+    fn wide(width: u32) -> (Photo, Geometry) {
+        let grid = Grid::new(width, 600, 64);
+        let near = |x: u32, y: u32| (width / 3..width * 2 / 3).contains(&x) && (150..450).contains(&y);
+        let photo = Photo::from_fn(width, 600, |x, y| if near(x, y) { [200, 20, 20] } else { [20, 90, 200] });
+        let planes = [0.05, 1.0].map(|d| Plane::fronto_parallel(d).quantised());
+        let tile = |t: u32| {
+            let r = grid.rect(t);
+            let labels = (0..r.area() as u32).map(|i| u8::from(near(r.x + i % r.w, r.y + i / r.w))).collect();
+            Tile { planes: planes.into(), labels, background: None }
+        };
+        let intrinsics = Intrinsics::centred(width, 600, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(width));
+        let tiles = (0..grid.tiles()).map(tile).collect();
+        (photo, Geometry { grid, intrinsics, view_box: Options::VIEW_BOX, tiles, matted: false })
+    }
+
+    #[test]
+    fn a_sample_sees_texels_that_pruning_wrongly_leaves_out_of_a_wide_photo() {
+        let (photo, geometry) = wide(4000);
+        let (all, some) = (verify(&photo, &geometry).unwrap(), sample(&photo, &geometry).unwrap().unwrap());
+        assert!(all.max_abs > 100 && all.share_off > 0.0, "{all:?}");
+        assert!(some.max_abs > 100 && some.share_off > 0.0 && some.tiles < all.tiles, "{some:?}");
+    }
+
+    #[test]
+    fn the_share_of_missing_pixels_is_that_of_the_band_beyond_the_search() {
+        let (photo, geometry) = wide(4000);
+        let geometry = Geometry { view_box: ViewBox { x: 0.12, y: 0.0, z: 0.0 }, ..geometry };
+        let planes = &geometry.tiles[0].planes;
+        // 96 pixels are searched sideways, and 2 up and down
+        let band = geometry.intrinsics.fx * 0.12 * (planes[1].a - planes[0].a) - 96.0;
+        let want = band * (300.0 - 4.0) / (4000.0 * 600.0);
+        let found = verify(&photo, &geometry).unwrap().share_off;
+        assert!((found - want).abs() < 0.15 * want, "{found} of {want}");
+    }
+
+    #[test]
+    fn a_sample_of_a_photo_that_is_pruned_rightly_sees_nothing() {
+        // its largest parallax is shorter than pruning searches
+        let (photo, geometry) = wide(960);
+        let some = sample(&photo, &geometry).unwrap().unwrap();
+        assert_eq!((some.max_abs, some.share_off), (0, 0.0));
+    }
+
+    #[test]
+    fn a_sample_sees_pruning_for_a_smaller_view_box() {
+        let (photo, geometry) = wide(960);
+        let smaller = |g: &Geometry| Geometry { view_box: ViewBox { x: 0.7 * g.view_box.x, ..g.view_box }, ..g.clone() }.masks();
+        let some = sample_of(&photo, &geometry, &smaller).unwrap().unwrap();
+        assert!(some.max_abs > 100 && some.share_off > 0.0, "{some:?}");
     }
 
     #[test]

@@ -132,8 +132,7 @@ pub struct PruneError {
     pub max_abs: u8,
     /// Share of pixels, 0 to 1, that differ by more than 8 levels, in the view where this share is largest.
     pub share_off: f64,
-    /// Number of tiles in the compared views: all with `verify-prune`, else some of those with the most planes, each cut out with its
-    /// neighbours.
+    /// Number of tiles in the compared parts: all with `verify-prune`, else those around some of the tiles with the largest steps in depth.
     pub tiles: usize,
 }
 

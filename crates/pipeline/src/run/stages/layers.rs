@@ -1,7 +1,7 @@
 //! Layers of all tiles: masks and colours, and their refinement by a network.
 
 use tmpi_core::container::{EncodedPhoto, HiddenCodec, OptionalSections, PhotoFormat};
-use tmpi_core::{DisparityMap, Geometry, LayerMasks, Photo, TexturedLayer, texture};
+use tmpi_core::{DisparityMap, Geometry, Photo, TexturedLayer, texture};
 
 use super::{Placed, Prepared};
 use crate::layers::{self, refine};
@@ -40,11 +40,11 @@ impl Stage for Layers {
         // the container stores the alphas of Ψ, whereas readers derive mattes from the photo
         geometry.matted = !refined(context);
         let masks = geometry.masks();
-        count(&mut context.report, &geometry, &masks, &placement);
         // encoding the photo uses one core; beside the layers, which use all cores, it adds no wall time
         let uploaded = prepared.uploaded.take();
         let file = || choose_file(uploaded, prepared.format, &prepared.photo, context.options.quality);
         let (tiles, photo_file) = rayon::join(|| texture(&prepared.photo, &geometry, masks), file);
+        count(&mut context.report, &geometry, &tiles, &placement);
         Ok(Layered { geometry, tiles, photo_file: photo_file?, optional: OptionalSections::default() })
     }
 }
@@ -79,13 +79,13 @@ fn refined(context: &Context) -> bool {
 }
 
 /// Counts planes and texels, and those left out: planes against the most per tile, texels against layers as large as their tiles.
-fn count(report: &mut Report, geometry: &Geometry, masks: &[LayerMasks], placement: &Placement) {
-    report.tiles = masks.len();
-    report.planes = masks.iter().map(|m| m.layers.len()).sum();
+fn count(report: &mut Report, geometry: &Geometry, tiles: &[Vec<TexturedLayer>], placement: &Placement) {
+    report.tiles = tiles.len();
+    report.planes = tiles.iter().map(Vec::len).sum();
     report.planes_per_tile = report.planes as f64 / report.tiles.max(1) as f64;
     let placed: usize = geometry.tiles.iter().map(|t| t.planes.len()).sum();
-    let full: usize = masks.iter().zip(0..).map(|(m, t)| m.layers.len() * geometry.grid.rect(t).area()).sum();
-    let kept: usize = masks.iter().flat_map(|m| &m.layers).map(|l| l.class.iter().filter(|c| **c != 0).count()).sum();
+    let full: usize = tiles.iter().zip(0..).map(|(layers, t)| layers.len() * geometry.grid.rect(t).area()).sum();
+    let kept: usize = tiles.iter().flatten().map(|l| l.shape.class.iter().filter(|c| **c != 0).count()).sum();
     report.texels = kept;
     report.left_out = LeftOut {
         planes: (report.tiles * placement.most as usize).saturating_sub(placed),

@@ -5,7 +5,7 @@ use tmpi_core::{DisparityMap, Geometry, Grid, Rect, Tile};
 use super::{Prepared, WeightedDisparity};
 use crate::planes::{Placement, Rounded, busy_share, discretisation_error, place_again, place_rounded};
 use crate::run::time_budget::Costs;
-use crate::run::{Budget, Context, MakeError, Parallax, PlaneCount, PlaneError, Sizes, Stage, TileError, memory};
+use crate::run::{Budget, Context, MakeError, Parallax, PlaneCount, PlaneError, Sizes, Stage, TileError};
 use tmpi_core::container::{most_planes, readable};
 
 /// Stage from disparity to planes and labels of every tile.
@@ -115,7 +115,7 @@ impl Stage for Planes {
         }
         let (pixels, count) = (u64::from(w) * u64::from(h), tiles.len() as u64);
         let placed: usize = tiles.iter().map(|t| t.planes.len()).sum();
-        let room = memory::most_planes(pixels, count, context.limits.memory);
+        let room = options.most_planes(pixels, count, context.limits.memory);
         if options.planes == PlaneCount::Auto && placed as u64 > count * u64::from(room) {
             // a large photo with almost only busy tiles: use fewer planes to stay within the memory limit
             placement.most = room;
