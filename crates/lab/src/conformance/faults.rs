@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tmpi_core::{Camera, Class, DisparityMap, Geometry, Intrinsics, LayerMasks, Pose, Scene, ViewBox, texture};
 use tmpi_pipeline::Options;
-use tmpi_pipeline::depth::upsample;
+use tmpi_pipeline::depth::{DepthKind, from_map, upsample};
 use tmpi_pipeline::edges;
 use tmpi_pipeline::photo::{Decoded, Limits, decode};
 use tmpi_pipeline::planes::smooth_labels;
@@ -12,7 +12,9 @@ use tmpi_render::{Cpu, RenderError, Renderer, View};
 
 use crate::oracle_depth;
 
-use super::{Checked, Hosts, Kernel, clustering, compositing, map_filters, matting, photos, quantisation, readers, views};
+use super::{
+    Checked, Hosts, Kernel, clustering, compositing, map_filters, matting, photos, quantisation, readers, views,
+};
 
 /// Family, subjects, and the cases run on a faulty kernel.
 type Fault = (&'static str, &'static [&'static str], fn(&mut Checked));
@@ -34,6 +36,13 @@ const FAULTS: &[Fault] = &[
     ("snapping", &["snap"], |c| map_filters::snap(c, "snap", edges::clean)),
     ("snapping", &["clean"], |c| map_filters::snap(c, "clean", |photo, map| shifted(edges::clean(photo, map)))),
     ("enlarging", &["guided filter"], |c| map_filters::enlarge(c, |photo, map| shifted(upsample(photo, map)))),
+    // the nearest sample everywhere
+    ("resizing", &["depth map"], |c| {
+        map_filters::resize(c, |file, (w, h)| {
+            let map = from_map(file, DepthKind::Disparity, &Limits::default(), 64, 48).ok()?.0;
+            Some(DisparityMap::from_fn(w, h, |x, y| map.delta[(y * 48 / h * 64 + x * 64 / w) as usize]))
+        });
+    }),
     ("label smoothing", &["conditional modes"], |c| {
         map_filters::labels(c, |samples, planes, labels, target, neighbour| {
             smooth_labels(samples, planes, labels, target, 1.5 * neighbour);

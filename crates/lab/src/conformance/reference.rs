@@ -44,6 +44,34 @@ pub(super) fn guided(photo: &Photo, map: &DisparityMap) -> Vec<f64> {
     (0..w * h).map(value).collect()
 }
 
+/// What a sample of a map at another size may be: so much, or any of these where they belong to two surfaces.
+pub(super) struct Resized {
+    pub mean: f64,
+    pub samples: Vec<f64>,
+}
+
+/// A map at another size: linear between samples where a side grows, and the mean of what a sample covers where it shrinks.
+pub(super) fn resized(map: &DisparityMap, to: (u32, u32)) -> Vec<Resized> {
+    let taps = |n: u32, to: u32, i: u32| {
+        let ratio = f64::from(n) / f64::from(to);
+        let at = (f64::from(i) + 0.5) * ratio;
+        let weight = move |j: u32| {
+            let j = f64::from(j);
+            let linear = |edge: f64| 1.0 - (j + 0.5 - edge.clamp(0.5, f64::from(n) - 0.5)).abs();
+            if ratio > 1.0 { (j + 1.0).min(at + ratio / 2.0) - j.max(at - ratio / 2.0) } else { linear(at) }
+        };
+        (0..n).map(move |j| (j as usize, weight(j))).filter(|t| t.1 > 1e-9).collect::<Vec<_>>()
+    };
+    let value = |(y, x): (u32, u32)| {
+        let (across, down) = (taps(map.width, to.0, x), taps(map.height, to.1, y));
+        let all = down.iter().flat_map(|(y, v)| across.iter().map(move |(x, u)| (f64::from(map.delta[y * map.width as usize + x]), u * v)));
+        let all: Vec<(f64, f64)> = all.collect();
+        let weight: f64 = all.iter().map(|a| a.1).sum();
+        Resized { mean: all.iter().map(|a| a.0 * a.1 / weight).sum(), samples: all.iter().map(|a| a.0).collect() }
+    };
+    (0..to.1).flat_map(|y| (0..to.0).map(move |x| (y, x))).map(value).collect()
+}
+
 /// Gauss's elimination with the largest pivot.
 fn solved(mut system: [[f64; 4]; 3]) -> [f64; 3] {
     for k in 0..3 {
