@@ -161,9 +161,11 @@ pub(super) fn enlarge(checked: &mut Checked, kernel: impl Fn(&Photo, &DisparityM
     const FAMILY: &str = "enlarging";
     let noise = |w, h| Photo::from_fn(w, h, |x, y| [5, 6, 7].map(|seed| (even(seed)(x, y) * 255.0) as u8));
     let wild = |w, h| map(w, h, even(8));
-    let cases: [(&str, Photo, DisparityMap); 8] = [
+    let cases: [(&str, Photo, DisparityMap); 10] = [
         ("noise in windows of 5", noise(500, 150), wild(500, 150)),
         ("noise by noise", noise(90, 70), wild(90, 70)),
+        ("noise above the pixels that it works with", noise(420, 300), wild(105, 75)),
+        ("a panorama above the pixels that it works with", noise(6000, 20), wild(300, 3)),
         ("noise by one colour", grey(90, 70, |_, _| 77), wild(90, 70)),
         ("two values by two colours", grey(90, 70, |x, _| if x < 45 { 0 } else { 255 }), map(90, 70, |x, _| f32::from(u8::from(x < 43)))),
         ("two values 1e-7 apart", noise(90, 70), map(90, 70, |x, _| if x < 45 { 0.5 } else { 0.500_000_1 })),
