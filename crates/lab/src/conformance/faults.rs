@@ -49,6 +49,12 @@ const FAULTS: &[Fault] = &[
         });
     }),
     ("visibility", &["texels"], |c| readers::visibility(c, |geometry| less_hidden(geometry.masks_unpruned()))),
+    // creases are softened, as with a camera of so long a focal length
+    ("visibility", &["texels"], |c| {
+        readers::visibility(c, |geometry| Geometry { intrinsics: Intrinsics::centred(100, 70, 1e4), ..geometry.clone() }.masks_unpruned());
+    }),
+    // rims are a little too thin
+    ("visibility", &["texels"], |c| readers::visibility(c, |geometry| thinner_rims(geometry.masks_unpruned()))),
     // texels of a smaller view box
     ("pruning", &["texels"], |c| {
         readers::pruning(c, |geometry| Geometry { view_box: ViewBox { x: 0.07, ..geometry.view_box }, ..geometry.clone() }.masks());
@@ -160,6 +166,13 @@ fn shifted(mut map: DisparityMap) -> DisparityMap {
 fn less_hidden(mut masks: Vec<LayerMasks>) -> Vec<LayerMasks> {
     let classes = masks.iter_mut().flat_map(|m| &mut m.layers).flat_map(|l| &mut l.class);
     classes.filter(|c| **c == Class::Hidden as u8).take(1).for_each(|c| *c = Class::Empty as u8);
+    masks
+}
+
+/// Masks whose soft texels have an alpha one lower.
+fn thinner_rims(mut masks: Vec<LayerMasks>) -> Vec<LayerMasks> {
+    let alphas = masks.iter_mut().flat_map(|m| &mut m.layers).flat_map(|l| &mut l.alpha);
+    alphas.filter(|a| (2..u8::MAX).contains(*a)).for_each(|a| *a -= 1);
     masks
 }
 
