@@ -3,17 +3,17 @@
 use std::sync::Arc;
 
 use tmpi_core::{Camera, Class, DisparityMap, Geometry, Intrinsics, LayerMasks, Pose, Scene, ViewBox, texture};
-use tmpi_pipeline::Options;
 use tmpi_pipeline::depth::{DepthKind, from_map, upsample};
 use tmpi_pipeline::edges;
 use tmpi_pipeline::photo::{Decoded, Limits, decode};
-use tmpi_pipeline::planes::smooth_labels;
+use tmpi_pipeline::planes::{Placement, place, place_again, smooth_labels};
+use tmpi_pipeline::{Options, Parallax};
 use tmpi_render::{Cpu, RenderError, Renderer, View};
 
 use crate::oracle_depth;
 
 use super::{
-    Checked, Hosts, Kernel, clustering, compositing, map_filters, matting, photos, quantisation, readers, views,
+    Checked, Hosts, Kernel, clustering, compositing, error_target, map_filters, matting, photos, quantisation, readers, views,
 };
 
 /// Family, subjects, and the cases run on a faulty kernel.
@@ -29,6 +29,19 @@ const FAULTS: &[Fault] = &[
             tile.planes[0].a += 0.01;
             tile
         });
+    }),
+    // a target twice as wide, and one half as wide
+    ("error target", &["linear", "lloyd", "optimal", "slanted"], |c| {
+        error_target::targets(c, |map, grid, p| place(map, None, grid, &scaled(p, 2.0)));
+    }),
+    ("error target", &["linear", "lloyd", "optimal", "slanted"], |c| {
+        error_target::targets(c, |map, grid, p| place(map, None, grid, &scaled(p, 0.5)));
+    }),
+    // as if cameras did not come nearer
+    ("parallax", &["pixels of δ"], |c| error_target::pixels(c, |k, v, rect| Parallax::new(k, ViewBox { z: 0.0, ..v }).most(rect))),
+    // planes that fit half as well stay
+    ("warm start", &["place again"], |c| {
+        error_target::warm_start(c, |map, grid, p, tiles| place_again(map, None, grid, &scaled(p, 2.0), tiles, |_| true));
     }),
     // as if noise went unnoticed
     ("denoising", &["local planes"], |c| map_filters::denoise(c, "local planes", DisparityMap::clone)),
@@ -174,6 +187,10 @@ fn thinner_rims(mut masks: Vec<LayerMasks>) -> Vec<LayerMasks> {
     let alphas = masks.iter_mut().flat_map(|m| &mut m.layers).flat_map(|l| &mut l.alpha);
     alphas.filter(|a| (2..u8::MAX).contains(*a)).for_each(|a| *a -= 1);
     masks
+}
+
+fn scaled(placement: &Placement, by: f64) -> Placement {
+    Placement { target: placement.target.map(|t| t * by), ..*placement }
 }
 
 /// A renderer that draws something else.

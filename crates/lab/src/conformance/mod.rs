@@ -3,6 +3,7 @@
 
 mod clustering;
 mod compositing;
+mod error_target;
 #[cfg(test)]
 mod faults;
 mod map_filters;
@@ -152,6 +153,7 @@ pub fn run() -> Checked {
     let mut checked = Checked::default();
     let hosts = Hosts::new(&mut checked.skipped);
     clustering::run(&mut checked);
+    error_target::run(&mut checked);
     map_filters::run(&mut checked);
     readers::run(&mut checked);
     matting::run(&mut checked);
