@@ -12,9 +12,7 @@ use tmpi_render::{Cpu, RenderError, Renderer, View};
 
 use crate::oracle_depth;
 
-use super::{
-    Checked, Hosts, Kernel, clustering, compositing, error_target, map_filters, matting, photos, quantisation, readers, views,
-};
+use super::{Checked, Hosts, Kernel, clustering, compositing, error_target, map_filters, matting, photos, quantisation, readers, views};
 
 /// Family, subjects, and the cases run on a faulty kernel.
 type Fault = (&'static str, &'static [&'static str], fn(&mut Checked));
