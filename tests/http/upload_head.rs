@@ -140,10 +140,10 @@ fn a_picture_whose_size_comes_late_is_checked_once_it_is_whole() {
 
 #[test]
 fn memory_is_counted_by_the_header_as_far_as_the_options_are_known() {
-    let server = start(photo::Limits { memory: 122 << 20, ..patient().photo() });
+    let server = start(photo::Limits { memory: 138 << 20, ..patient().photo() });
     let large = claims(PictureFormat::Png, 4000);
     let raw = stalled(server.addr, "/v1/photos", "image/png", &large).problem(413);
-    assert!(raw["detail"].as_str().unwrap().contains(&(122 << 20).to_string()), "{raw}");
+    assert!(raw["detail"].as_str().unwrap().contains(&(138 << 20).to_string()), "{raw}");
     let (content_type, body) = open_form(&[("photo", &large)]);
     assert_eq!(says(stalled(server.addr, "/v1/photos", &content_type, &body).problem(413)), says(raw), "no option makes room for it");
     // this photo fits only if it is reduced, and a form may send `max-size` after the photo

@@ -6,10 +6,10 @@ use tmpi_pipeline::planes::{Method, Placement, place};
 use tmpi_testing::pictures::noise;
 
 const FAMILY: &str = "clustering";
-const METHODS: [(Method, &str); 4] =
+pub(super) const METHODS: [(Method, &str); 4] =
     [(Method::Linear, "linear"), (Method::Lloyd, "lloyd"), (Method::Optimal, "optimal"), (Method::Slanted, "slanted")];
 /// Planes lie on the container's grid: half a step each of three coefficients.
-const GRID: f64 = 1.5 * Plane::STEP;
+pub(super) const GRID: f64 = 1.5 * Plane::STEP;
 
 /// Steepest slope of a plane in δ per half tile.
 const MAX_SLOPE: f64 = 0.256;

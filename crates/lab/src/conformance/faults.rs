@@ -4,25 +4,25 @@ use std::sync::Arc;
 
 use tmpi_core::{Camera, Class, DisparityMap, Geometry, Intrinsics, LayerMasks, Plane, Pose, Scene, ViewBox, texture};
 use tmpi_live::align::{Affine, fit};
-use tmpi_pipeline::Options;
-use tmpi_pipeline::depth::upsample;
+use tmpi_pipeline::depth::{DepthKind, from_map, upsample};
 use tmpi_pipeline::edges;
 use tmpi_pipeline::photo::{Decoded, Limits, decode};
-use tmpi_pipeline::planes::smooth_labels;
+use tmpi_pipeline::planes::{Placement, place, place_again, smooth_labels};
+use tmpi_pipeline::{Options, Parallax};
 use tmpi_render::{Cpu, RenderError, Renderer, View};
 
 use crate::oracle_depth;
 
 use super::{
-    Checked, Hosts, Kernel, Verdict, clustering, colours, compositing, live_depth, live_motion, map_filters, matting, photos, quantisation,
-    readers, stereo, view_box_corners, views,
+    Checked, Hosts, Kernel, Verdict, clustering, colours, compositing, error_target, live_depth, live_motion, map_filters, matting, photos,
+    quantisation, readers, stereo, view_box_corners, views,
 };
 
 /// A fault planted in a kernel.
 struct Fault {
     family: &'static str,
     subjects: &'static [&'static str],
-    /// Starts of the names of the cases that are meant for it. One of each must notice it, by each subject.
+    /// Starts of the names of the cases that are meant for it; empty: all of the kernel. One of each must notice it, by each subject.
     cases: &'static [&'static str],
     /// Runs the cases of the faulty kernel.
     run: fn(&mut Checked),
@@ -43,6 +43,21 @@ const FAULTS: &[Fault] = &[
             tile
         });
     }),
+    // a target twice as wide, and one half as wide
+    fault("error target", &["linear", "lloyd", "optimal", "slanted"], &[""], |c| {
+        error_target::targets(c, |map, grid, p| place(map, None, grid, &scaled(p, 2.0)));
+    }),
+    fault("error target", &["linear", "lloyd", "optimal", "slanted"], &[""], |c| {
+        error_target::targets(c, |map, grid, p| place(map, None, grid, &scaled(p, 0.5)));
+    }),
+    // as if cameras did not come nearer
+    fault("parallax", &["pixels of δ"], &["forward, "], |c| {
+        error_target::pixels(c, |k, v, rect| Parallax::new(k, ViewBox { z: 0.0, ..v }).most(rect));
+    }),
+    // planes that fit half as well stay
+    fault("warm start", &["place again"], &[""], |c| {
+        error_target::warm_start(c, |map, grid, p, tiles| place_again(map, None, grid, &scaled(p, 2.0), tiles, |_| true));
+    }),
     // as if noise went unnoticed
     fault("denoising", &["local planes"], &["holes of one pixel", "noise on one value", "noise on a slope", "noise on a step"], |c| {
         map_filters::denoise(c, "local planes", DisparityMap::clone);
@@ -58,6 +73,13 @@ const FAULTS: &[Fault] = &[
     }),
     fault("enlarging", &["guided filter"], &["noise by noise", "one pixel", "one value to 16 times the size"], |c| {
         map_filters::enlarge(c, |photo, map| shifted(upsample(photo, map)));
+    }),
+    // the nearest sample everywhere
+    fault("resizing", &["depth map"], &["a slope, to 128 × 96", "one row, "], |c| {
+        map_filters::resize(c, |file, (w, h)| {
+            let map = from_map(file, DepthKind::Disparity, &Limits::default(), 64, 48).ok()?.0;
+            Some(DisparityMap::from_fn(w, h, |x, y| map.delta[(y * 48 / h * 64 + x * 64 / w) as usize]))
+        });
     }),
     fault("label smoothing", &["conditional modes"], &["noise"], |c| {
         map_filters::labels(c, |samples, planes, labels, target, neighbour| {
@@ -90,6 +112,14 @@ const FAULTS: &[Fault] = &[
     }),
     fault("visibility", &["texels"], &["a square before a wall", "one row", "a panorama"], |c| {
         readers::visibility(c, |geometry| less_hidden(geometry.masks_unpruned()));
+    }),
+    // creases are softened, as with a camera of so long a focal length
+    fault("visibility", &["texels"], &["a crease"], |c| {
+        readers::visibility(c, |geometry| Geometry { intrinsics: Intrinsics::centred(100, 70, 1e4), ..geometry.clone() }.masks_unpruned());
+    }),
+    // rims are a little too thin
+    fault("visibility", &["texels"], &["a square before a wall"], |c| {
+        readers::visibility(c, |geometry| thinner_rims(geometry.masks_unpruned()));
     }),
     // texels of a smaller view box
     fault("pruning", &["texels"], &["a square before a wall, δ 0 behind 1: seen and left out"], |c| {
@@ -273,6 +303,17 @@ fn less_hidden(mut masks: Vec<LayerMasks>) -> Vec<LayerMasks> {
     let classes = masks.iter_mut().flat_map(|m| &mut m.layers).flat_map(|l| &mut l.class);
     classes.filter(|c| **c == Class::Hidden as u8).take(1).for_each(|c| *c = Class::Empty as u8);
     masks
+}
+
+/// Masks whose soft texels have an alpha one lower.
+fn thinner_rims(mut masks: Vec<LayerMasks>) -> Vec<LayerMasks> {
+    let alphas = masks.iter_mut().flat_map(|m| &mut m.layers).flat_map(|l| &mut l.alpha);
+    alphas.filter(|a| (2..u8::MAX).contains(*a)).for_each(|a| *a -= 1);
+    masks
+}
+
+fn scaled(placement: &Placement, by: f64) -> Placement {
+    Placement { target: placement.target.map(|t| t * by), ..*placement }
 }
 
 /// A renderer that draws something else.

@@ -1,11 +1,12 @@
 //! Disparity maps: cleaning, snapping, enlarging, and smoothing of labels.
 
 use super::Checked;
-use super::reference::{guided, smoothed_labels};
+use super::reference::{Resized, guided, resized, smoothed_labels};
 use tmpi_core::{DisparityMap, Grid, Photo, Plane};
 use tmpi_pipeline::denoise::{local_planes, median_guided};
-use tmpi_pipeline::depth::upsample;
+use tmpi_pipeline::depth::{DepthKind, from_map, upsample};
 use tmpi_pipeline::edges;
+use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::planes::{NEIGHBOUR_COST, Samples, smooth_labels};
 use tmpi_testing::pictures::noise;
 
@@ -15,6 +16,7 @@ pub(super) fn run(checked: &mut Checked) {
     snap(checked, "snap", edges::snap);
     snap(checked, "clean", edges::clean);
     enlarge(checked, upsample);
+    resize(checked, |file, (w, h)| from_map(file, DepthKind::Disparity, &Limits::default(), w, h).ok().map(|(map, _)| map));
     labels(checked, smooth_labels);
 }
 
@@ -159,9 +161,11 @@ pub(super) fn enlarge(checked: &mut Checked, kernel: impl Fn(&Photo, &DisparityM
     const FAMILY: &str = "enlarging";
     let noise = |w, h| Photo::from_fn(w, h, |x, y| [5, 6, 7].map(|seed| (even(seed)(x, y) * 255.0) as u8));
     let wild = |w, h| map(w, h, even(8));
-    let cases: [(&str, Photo, DisparityMap); 8] = [
+    let cases: [(&str, Photo, DisparityMap); 10] = [
         ("noise in windows of 5", noise(500, 150), wild(500, 150)),
         ("noise by noise", noise(90, 70), wild(90, 70)),
+        ("noise above the pixels that it works with", noise(420, 300), wild(105, 75)),
+        ("a panorama above the pixels that it works with", noise(6000, 20), wild(300, 3)),
         ("noise by one colour", grey(90, 70, |_, _| 77), wild(90, 70)),
         ("two values by two colours", grey(90, 70, |x, _| if x < 45 { 0 } else { 255 }), map(90, 70, |x, _| f32::from(u8::from(x < 43)))),
         ("two values 1e-7 apart", noise(90, 70), map(90, 70, |x, _| if x < 45 { 0.5 } else { 0.500_000_1 })),
@@ -188,6 +192,63 @@ pub(super) fn enlarge(checked: &mut Checked, kernel: impl Fn(&Photo, &DisparityM
         checked.case(FAMILY, &format!("one value {name}"), "guided filter", "δ", 1e-5, || {
             apart(&kernel(&noise(w, h), &map(20, 15, |_, _| 0.3)), &map(w, h, |_, _| 0.3))
         });
+    }
+}
+
+/// A portable float map of these values.
+fn float_map(map: &DisparityMap) -> Vec<u8> {
+    // its rows run upwards
+    let rows = map.delta.chunks(map.width as usize).rev().flatten().flat_map(|v| v.to_le_bytes());
+    format!("Pf\n{} {}\n-1.0\n", map.width, map.height).into_bytes().into_iter().chain(rows).collect()
+}
+
+/// The map with each hole (what is not finite) as far as the farther known value beside it in its row; rows of nothing else as the nearest one.
+fn without_holes(map: &DisparityMap) -> DisparityMap {
+    let (w, h) = (map.width as usize, map.height as usize);
+    let known = |x: usize, y: usize| Some(map.delta[y * w + x]).filter(|v| v.is_finite());
+    let has = |y: &usize| (0..w).any(|x| known(x, *y).is_some());
+    let value = |x: u32, y: u32| {
+        let (x, y) = (x as usize, y as usize);
+        let y = (0..h).filter(has).min_by_key(|v| v.abs_diff(y)).unwrap_or(y);
+        let beside = [(0..=x).rev().find_map(|x| known(x, y)), (x..w).find_map(|x| known(x, y))];
+        beside.into_iter().flatten().fold(f32::INFINITY, f32::min)
+    };
+    DisparityMap::from_fn(map.width, map.height, value)
+}
+
+/// `kernel` reads a map's file at another size.
+pub(super) fn resize(checked: &mut Checked, kernel: impl Fn(&[u8], (u32, u32)) -> Option<DisparityMap>) {
+    /// Range of samples from which they belong to two surfaces.
+    const EDGE: f64 = 0.03;
+    let slope = |x: u32, y: u32| 0.1 + 0.0031 * x as f32 + 0.0013 * y as f32;
+    let holes = |x: u32, y: u32| if (x / 5 + y / 4).is_multiple_of(3) || y == 7 { f32::NAN } else { slope(x / 20 * 20, 0) };
+    let cases = [
+        ("a slope", map(64, 48, slope)),
+        ("a steep slope", map(64, 48, |x, _| x as f32 / 64.0)),
+        ("a step", map(64, 48, |x, y| f32::from(u8::from(2 * x > y + 30)))),
+        ("noise", map(64, 48, even(11))),
+        ("holes of NaN", map(64, 48, holes)),
+        ("a slope with holes of infinity", map(64, 48, |x, y| if x == 20 { f32::INFINITY } else { slope(x, y) })),
+        ("one row", map(64, 1, slope)),
+        ("one column", map(1, 48, slope)),
+        ("one pixel", map(1, 1, slope)),
+    ];
+    let sizes = [(128, 96), (150, 97), (65, 48), (53, 40), (31, 23), (24, 100), (100, 20), (7, 5), (1, 48), (64, 1), (1, 1)];
+    for (name, map) in cases {
+        let full = without_holes(&map);
+        for to in sizes {
+            checked.case("resizing", &format!("{name}, to {} × {}", to.0, to.1), "depth map", "δ", 1e-6, || {
+                let Some(got) = kernel(&float_map(&map), to).filter(|g| (g.width, g.height) == to) else { return f64::INFINITY };
+                let off = |(got, want): (&f32, Resized)| {
+                    let got = f64::from(*got);
+                    let (low, high) = want.samples.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |m, v| (m.0.min(*v), m.1.max(*v)));
+                    let mixed = (got - want.mean).abs();
+                    if high - low > EDGE { want.samples.iter().map(|v| (v - got).abs()).fold(f64::INFINITY, f64::min) } else { mixed }
+                };
+                let all = got.delta.iter().zip(resized(&full, to)).map(off);
+                all.fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) })
+            });
+        }
     }
 }
 

@@ -73,16 +73,21 @@ mod tests {
                 (0..width * height).map(|i| [(i * 7919 % 251) as u8, (i % width) as u8, 255 * (i / 9 % 2) as u8]).collect();
             let photo = Photo { width, height, rgb };
             let (blur, core) = (Blur::new(&photo), MirrorBlur::new(&photo.rgb, [width, height], 0));
-            let mut worst = 0;
-            for y in 0..height {
-                let (mut got, own) = (Vec::new(), &photo.rgb[(y * width) as usize..][..width as usize]);
-                core.row(0, y as usize, own, [true, false], &mut got);
-                for (x, got) in (0..width).zip(got) {
-                    let want = blur.colour(x, y, f64::from(x.min(width - 1 - x)) + 0.5);
-                    worst = got.iter().zip(want).map(|(a, b)| a.abs_diff(b)).fold(worst, u8::max);
+            for mirrored in [[true, false], [false, true], [true, true]] {
+                let mut worst = 0;
+                for y in 0..height {
+                    let (mut got, own) = (Vec::new(), &photo.rgb[(y * width) as usize..][..width as usize]);
+                    core.row(0, y as usize, own, mirrored, &mut got);
+                    assert_eq!(got.len(), width as usize);
+                    for (x, got) in (0..width).zip(got) {
+                        let past = [x.min(width - 1 - x), y.min(height - 1 - y)].map(|v| f64::from(v) + 0.5);
+                        let beyond = past.into_iter().zip(mirrored).filter(|(_, mirrored)| *mirrored).fold(0.0, |a, (b, _)| f64::max(a, b));
+                        let want = blur.colour(x, y, beyond);
+                        worst = got.iter().zip(want).map(|(a, b)| a.abs_diff(b)).fold(worst, u8::max);
+                    }
                 }
+                assert!(worst <= 3, "{width}×{height}, {mirrored:?}: {worst} levels");
             }
-            assert!(worst <= 3, "{width}×{height}: {worst} levels");
         }
     }
 }

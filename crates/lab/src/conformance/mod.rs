@@ -4,6 +4,7 @@
 mod clustering;
 mod colours;
 mod compositing;
+mod error_target;
 #[cfg(test)]
 mod faults;
 mod live_depth;
@@ -156,6 +157,7 @@ pub fn run() -> Checked {
     let mut checked = Checked::default();
     let hosts = Hosts::new(&mut checked.skipped);
     clustering::run(&mut checked);
+    error_target::run(&mut checked);
     map_filters::run(&mut checked);
     stereo::run(&mut checked);
     live_depth::run(&mut checked);

@@ -38,6 +38,9 @@ type Paint = fn(u32, u32) -> [u8; 3];
 /// Label of a pixel.
 type Label = fn(u32, u32) -> u8;
 
+/// Pixels of parallax over the default view box up to which a rim that folds is a crease.
+const SEAM: f64 = 1.0;
+
 const FLAT: fn(f64) -> Plane = Plane::fronto_parallel;
 
 const SQUARE: Label = |x, y| u8::from((20..70).contains(&x) && (15..50).contains(&y));
@@ -51,6 +54,10 @@ fn geometries() -> Vec<(&'static str, Geometry)> {
     vec![
         ("a square before a wall", geometry((100, 70), 64, &two, SQUARE)),
         ("crossing zero within a tile", geometry((100, 70), 64, &steep, |x, _| u8::from(x / 8 % 2 == 0))),
+        (
+            "a crease",
+            geometry((64, 64), 64, &[Plane { a: 0.5, b: 0.3, c: 0.0 }, Plane { a: 0.501, b: -0.3, c: 0.1 }], |x, _| u8::from(x > 31)),
+        ),
         ("near the horizon", geometry((100, 70), 64, &[FLAT(0.0), FLAT(0.0002)], SQUARE)),
         ("64 planes, labels of noise", geometry((100, 70), 64, &many, |x, y| (noise(x, y) * 64.0) as u8)),
         ("two values, labels of noise", geometry((100, 70), 32, &[FLAT(0.0), FLAT(1.0)], |x, y| (noise(x, y) * 2.0) as u8)),
@@ -62,7 +69,7 @@ fn geometries() -> Vec<(&'static str, Geometry)> {
 }
 
 /// `kernel` finds the texels of all layers, seen or not: the photo's where a pixel lies on the layer, hidden ones where the layer lies behind
-/// what shows, and else a rim of one pixel or nothing.
+/// what shows, and else a rim of one pixel or nothing. A rim is as opaque as the 3 × 3 texels around are full, but all of it at a crease.
 pub(super) fn visibility(checked: &mut Checked, kernel: impl Fn(&Geometry) -> Vec<LayerMasks>) {
     for (name, geometry) in geometries() {
         checked.case("visibility", name, "texels", "texels", 0.0, || {
@@ -92,6 +99,8 @@ fn wrong_texels(geometry: &Geometry, index: u32, masks: &LayerMasks) -> usize {
         tile.planes[usize::from(label)].disparity(u, v)
     };
     let shown = |(x, y): (u32, u32)| tile.labels[(y * r.w + x) as usize];
+    let (across, down) = ViewBox::default().parallax(&geometry.intrinsics, r);
+    let usual = across.max(down);
     let mut wrong = 0;
     for label in 0..tile.planes.len() as u8 {
         for at in (0..r.h).flat_map(|y| (0..r.w).map(move |x| (x, y))) {
@@ -101,20 +110,23 @@ fn wrong_texels(geometry: &Geometry, index: u32, masks: &LayerMasks) -> usize {
             if shown(at) != label && ((own - visible).abs() < 1e-6 || own.abs() < 1e-6) {
                 continue;
             }
-            let opaque = |x: u32, y: u32| {
-                let (class, alpha) = texel(r, masks, label, (x, y));
-                class != Class::Empty as u8 && alpha == u8::MAX
-            };
-            let beside = || {
-                let columns = at.0.saturating_sub(1)..(at.0 + 2).min(r.w);
-                (at.1.saturating_sub(1)..(at.1 + 2).min(r.h)).any(|y| columns.clone().any(|x| (x, y) != at && opaque(x, y)))
+            let columns = at.0.saturating_sub(1)..(at.0 + 2).min(r.w);
+            let around: Vec<_> = (at.1.saturating_sub(1)..(at.1 + 2).min(r.h)).flat_map(|y| columns.clone().map(move |x| (x, y))).collect();
+            let set = around.iter().filter(|p| shown(**p) == label || (0.0..delta(shown(**p), **p)).contains(&delta(label, **p))).count();
+            let rim = || {
+                let soft = (255.0 * set as f64 / around.len() as f64).round() as u8;
+                // what shows at the rim has no texel behind this layer beside it
+                let folds = |p: &(u32, u32)| shown(*p) == label && !(0.0..delta(label, *p)).contains(&delta(shown(at), *p));
+                if (own - visible) * usual <= SEAM && around.iter().any(folds) { u8::MAX } else { soft }
             };
             let right = if shown(at) == label {
                 (class, alpha) == (Class::Photo as u8, u8::MAX)
             } else if own >= 0.0 && own < visible {
-                class == Class::Hidden as u8
+                (class, alpha) == (Class::Hidden as u8, u8::MAX)
+            } else if own > visible && set > 0 {
+                (class, alpha) == (Class::Photo as u8, rim())
             } else {
-                class == Class::Empty as u8 || (class == Class::Photo as u8 && own > visible && beside())
+                (class, alpha) == (Class::Empty as u8, 0)
             };
             wrong += usize::from(!right);
         }

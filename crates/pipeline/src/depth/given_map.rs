@@ -271,37 +271,33 @@ fn fill_unknown(z: &mut [f32], w: usize) {
     }
 }
 
-/// Resamples to another size. Enlarging is linear within a surface, and takes the nearest sample where the four around a position belong
-/// to two surfaces. Reducing takes the mean of the covered samples within a surface, else their median.
+/// Resamples to another size. Enlarging is linear within a surface, and reducing takes the mean of what a sample covers. Where the source
+/// samples belong to two surfaces, takes the nearest one, or their median if there are more than two in a line.
 pub(super) fn resize(source: &[f32], (w, h): (usize, usize), (width, height): (u32, u32)) -> DisparityMap {
     let (ratio_x, ratio_y) = (w as f64 / f64::from(width), h as f64 / f64::from(height));
+    let columns: Vec<Covered> = (0..width as usize).map(|x| Covered::new(x, ratio_x, w)).collect();
     let mut delta = vec![0f32; width as usize * height as usize];
     delta.par_chunks_exact_mut(width as usize).enumerate().for_each(|(y, row)| {
-        let (y0, y1) = covered(y, ratio_y, h);
+        let rows = Covered::new(y, ratio_y, h);
         let mut window = Vec::new();
-        for (x, out) in row.iter_mut().enumerate() {
-            let (x0, x1) = covered(x, ratio_x, w);
+        for ((x, out), columns) in row.iter_mut().enumerate().zip(&columns) {
             window.clear();
-            for line in source.chunks_exact(w).take(y1 + 1).skip(y0) {
-                window.extend_from_slice(&line[x0..=x1]);
+            let mut mean = 0.0;
+            for (line, weight) in source.chunks_exact(w).skip(rows.first).zip(&rows.weights) {
+                let line = &line[columns.first..][..columns.weights.len()];
+                window.extend_from_slice(line);
+                mean += weight * line.iter().zip(&columns.weights).map(|(v, weight)| weight * f64::from(*v)).sum::<f64>();
             }
             let (lo, hi) = window.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |m, &v| (m.0.min(v), m.1.max(v)));
-            *out = if hi - lo > EDGE {
-                if x1 - x0 <= 1 && y1 - y0 <= 1 {
-                    let near = |i: usize, ratio: f64, n: usize| (((i as f64 + 0.5) * ratio) as usize).min(n - 1);
-                    source[near(y, ratio_y, h) * w + near(x, ratio_x, w)]
-                } else {
-                    let middle = window.len() / 2;
-                    *window.select_nth_unstable_by(middle, f32::total_cmp).1
-                }
-            } else if x1 - x0 <= 1 && y1 - y0 <= 1 {
-                let share = |i: usize, ratio: f64, first: usize| (((i as f64 + 0.5) * ratio - 0.5 - first as f64) as f32).clamp(0.0, 1.0);
-                let (fx, fy) = (share(x, ratio_x, x0), share(y, ratio_y, y0));
-                let at = |xx: usize, yy: usize| source[yy * w + xx];
-                let line = |yy: usize| at(x0, yy) + (at(x1, yy) - at(x0, yy)) * fx;
-                line(y0) + (line(y1) - line(y0)) * fy
+            *out = if hi - lo <= EDGE {
+                // weights sum to 1 up to rounding
+                (mean as f32).max(lo).min(hi)
+            } else if ratio_x.max(ratio_y) <= 2.0 {
+                let near = |i: usize, ratio: f64, n: usize| (((i as f64 + 0.5) * ratio) as usize).min(n - 1);
+                source[near(y, ratio_y, h) * w + near(x, ratio_x, w)]
             } else {
-                window.iter().sum::<f32>() / window.len() as f32
+                let middle = window.len() / 2;
+                *window.select_nth_unstable_by(middle, f32::total_cmp).1
             };
         }
     });
@@ -313,15 +309,30 @@ pub fn resized(map: &DisparityMap, width: u32, height: u32) -> DisparityMap {
     resize(&map.delta, (map.width as usize, map.height as usize), (width, height))
 }
 
-/// First and last source sample that sample `i` of the result covers.
-fn covered(i: usize, ratio: f64, n: usize) -> (usize, usize) {
-    let half = ratio.max(1.0) / 2.0;
-    let centre = (i as f64 + 0.5) * ratio - 0.5;
-    // a reduced sample covers `ratio` samples; an enlarged one lies between two
-    let (first, last) =
-        if ratio > 1.0 { ((centre - half).ceil(), (centre + half - 1e-9).floor()) } else { (centre.floor(), centre.floor() + 1.0) };
-    let first = (first.max(0.0) as usize).min(n - 1);
-    (first, (last.max(0.0) as usize).clamp(first, n - 1))
+/// Source samples along one axis that make up a sample of the result.
+struct Covered {
+    first: usize,
+    /// Weights of the samples from `first` on; they sum to 1.
+    weights: Vec<f64>,
+}
+
+impl Covered {
+    /// Those of sample `i`, where `n` source samples are `ratio` times as many as the result has.
+    fn new(i: usize, ratio: f64, n: usize) -> Self {
+        if ratio <= 1.0 {
+            // between two
+            let at = ((i as f64 + 0.5) * ratio - 0.5).clamp(0.0, (n - 1) as f64);
+            let (first, share) = (at as usize, at.fract());
+            return Self { first, weights: if share > 0.0 { vec![1.0 - share, share] } else { vec![1.0] } };
+        }
+        let begin = i as f64 * ratio;
+        let end = (begin + ratio).min(n as f64);
+        // no slivers, which are rounding
+        let first = ((begin + 1e-9) as usize).min(n - 1);
+        let last = ((end - 1e-9) as usize).clamp(first, n - 1);
+        let share = |s: usize| (end.min((s + 1) as f64) - begin.max(s as f64)) / (end - begin);
+        Self { first, weights: (first..=last).map(share).collect() }
+    }
 }
 
 #[cfg(test)]
