@@ -9,6 +9,14 @@ const DEVIATIONS: f64 = 2.0;
 /// else.
 const MAX_OFFSET: f64 = 0.25;
 
+/// A far side is plain if the standard deviation of its colours, by their distances in RGB, is at most this many levels, and their weight at
+/// least `PLAIN_WEIGHT`, a tenth of the window's. Fewer colours do not tell.
+const PLAIN: f64 = 12.0;
+const PLAIN_WEIGHT: u32 = 64;
+/// A colour does not belong to a plain far side if it differs by more than so many levels and standard deviations. Noise differs less.
+const NOISE: f64 = 8.0;
+const NOISE_DEVIATIONS: f64 = 3.0;
+
 /// Alpha from which a pixel counts as all foreground, in 255ths: renderers treat a texel of 0.99 as opaque.
 const OPAQUE: i32 = 253;
 
@@ -78,6 +86,19 @@ impl Matte {
         // rounds to nearest; the cast clamps to 0..=255
         let background = std::array::from_fn(|c| (back[c] + (1.0 - share) * off[c] + 0.5) as u8);
         Some(Self::with(colour, background, alpha))
+    }
+
+    /// Decomposes `colour` beside a plain `far` side that it does not belong to, for example because sharpening left a halo there. The
+    /// background is the mean of that side, and the foreground takes the whole difference, with the alpha of a `mixture` if there is one,
+    /// otherwise with the least. `None` if the far side is not plain, or if the difference may be noise.
+    pub fn halo(colour: [u8; 3], mixture: Option<Self>, far: &Side) -> Option<Self> {
+        let (back, variance) = far.mean()?;
+        let off: f64 = colour.iter().zip(back).map(|(c, b)| (f64::from(*c) - b).powi(2)).sum();
+        let is_plain = far.weight >= PLAIN_WEIGHT && variance <= PLAIN * PLAIN;
+        if !is_plain || off <= NOISE * NOISE || off <= NOISE_DEVIATIONS * NOISE_DEVIATIONS * variance {
+            return None;
+        }
+        Some(Self::with(colour, back.map(|b| (b + 0.5) as u8), mixture.map_or(1, |m| m.alpha)))
     }
 
     /// The matte of `colour` over `background` with `alpha` of at least 1; computes the foreground. Raises alpha if the foreground would
