@@ -113,13 +113,12 @@ struct Nearest {
     off: [isize; 2],
 }
 
-/// A pixel behind a border.
-struct Beside {
-    colour: [u8; 3],
-    /// Unmixed colours of its own side.
-    back: Side,
-    /// Its matte, if its colour is a mixture of both sides.
+/// Mattes of a pixel behind a border.
+struct Mattes {
+    /// If its colour is a mixture of both sides.
     mixture: Option<Matte>,
+    /// If its colour does not belong to a plain far side.
+    halo: Option<Matte>,
 }
 
 impl Tile<'_> {
@@ -150,26 +149,27 @@ impl Tile<'_> {
         if !self.others_agree(px, py, middle) {
             return None;
         }
-        let Beside { colour, back, mixture } = self.beside(x, y, middle, photo, s);
+        let Mattes { mixture, halo } = self.mattes(x, y, middle, photo, s);
         let fades = |mixture: &Matte| {
             // between this pixel and the border, colours are mixed even more
             let between = |at: usize, off: isize| at.saturating_add_signed(off - off / 2);
             let (u, v) = (between(x, off[0]), between(y, off[1]));
             off == off.map(isize::signum)
                 || s.visible[v * w + u] >= middle
-                || self.beside(u, v, middle, photo, s).mixture.is_some_and(|m| m.alpha >= mixture.alpha)
+                || self.mattes(u, v, middle, photo, s).mixture.is_some_and(|m| m.alpha >= mixture.alpha)
         };
-        let matte = Matte::halo(colour, mixture, &back).or_else(|| mixture.filter(fades))?;
+        let matte = halo.or_else(|| mixture.filter(fades))?;
         Some(BorderPixel { x: px, y: py, near, matte })
     }
 
-    /// Pixel `(x, y)`, which lies behind `middle`, with the colours of its surroundings.
-    fn beside(&self, x: usize, y: usize, middle: f32, photo: Rows, s: &Scratch) -> Beside {
+    /// Mattes of pixel `(x, y)`, which lies behind `middle`.
+    fn mattes(&self, x: usize, y: usize, middle: f32, photo: Rows, s: &Scratch) -> Mattes {
         let far = s.visible[y * self.r.w as usize + x];
         let (front, back) = self.sides(x, y, [far, middle], photo, s);
         let (px, py) = (self.r.x as usize + x, self.r.y as usize + y - photo.top as usize);
         let colour = photo.rgb[py * self.geometry.grid.width as usize + px];
-        Beside { colour, back, mixture: Matte::of(colour, &front, &back) }
+        let mixture = Matte::of(colour, &front, &back);
+        Mattes { mixture, halo: Matte::halo(colour, mixture, &front, &back) }
     }
 
     /// The nearest pixel in front of `middle` whose plane is also in front at `(x, y)`.
