@@ -44,6 +44,11 @@ fn soft(x: u32, y: u32) -> f64 {
     (1.0 - f64::from(outside(x, y)) / 3.0).max(0.0)
 }
 
+/// A wall that is brighter beside the square.
+fn halo(x: u32, y: u32) -> [f64; 3] {
+    LIGHT(x, y).map(|v| if (1..3).contains(&outside(x, y)) { v + 30.0 } else { v })
+}
+
 /// Noise of 0 to 255.
 fn rough(x: u32, y: u32, k: u32) -> f64 {
     255.0 * f64::from(noise(x, y + 1000 * k))
@@ -74,6 +79,8 @@ fn subjects() -> Vec<Subject> {
             bound: None,
             ..usual
         },
+        // as sharpening leaves it
+        Subject { name: "a halo", share: sharp, wall: halo, bound: None, ..usual },
         Subject { name: "JPEG blocks", bound: Some(70.0), blocks: true, ..usual },
     ]
 }
@@ -96,6 +103,25 @@ impl Subject {
         let near = |x, y| u8::from((self.near)(x, y));
         let planes = [0.25, 0.75].map(Plane::fronto_parallel);
         Geometry { matted: true, ..geometry((WIDTH, HEIGHT), 64, &planes, near) }
+    }
+
+    /// The greatest difference of the wall's colours from [`LIGHT`], in levels, where no thing lies on it.
+    fn off_wall(&self, photo: &Photo, tiles: &[Vec<TexturedLayer>]) -> f64 {
+        let mut most = 0.0_f64;
+        for TexturedLayer { shape, hidden } in tiles.iter().flatten().filter(|l| l.shape.plane.a < 0.5) {
+            let mut hidden = hidden.iter();
+            for (i, class) in (0..).zip(&shape.class) {
+                let (x, y) = (shape.rect.x + i % shape.rect.w, shape.rect.y + i / shape.rect.w);
+                let colour = match class {
+                    c if *c == Class::Hidden as u8 => hidden.next().copied().unwrap_or_default(),
+                    c if *c == Class::Photo as u8 => photo.at(x, y),
+                    _ => continue,
+                };
+                let off = LIGHT(x, y).into_iter().zip(colour).map(|(wall, c)| (wall - f64::from(c)).abs());
+                most = if (self.near)(x, y) { most } else { off.fold(most, f64::max) };
+            }
+        }
+        most
     }
 
     /// The greatest error of a share of the thing in front of a pixel of the wall, in 255ths; of the pixels that no thing lies on.
@@ -133,6 +159,12 @@ pub(super) fn cases(checked: &mut Checked, kernel: impl Fn(&Photo, &Geometry) ->
                 subject.off(&kernel(&photo, &geometry))
             });
         }
+    }
+    for subject in subjects().iter().filter(|s| s.name == "a halo") {
+        checked.case("matting", "the wall behind a halo", "mattes", "levels", 1.0, || {
+            let (photo, geometry) = (subject.photo(), subject.geometry());
+            subject.off_wall(&photo, &kernel(&photo, &geometry))
+        });
     }
     let alike = &subjects()[0];
     checked.case("matting", "nothing changes, foreground and background alike", "mattes", "texels", 0.0, || {

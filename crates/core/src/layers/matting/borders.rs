@@ -113,6 +113,14 @@ struct Nearest {
     off: [isize; 2],
 }
 
+/// Mattes of a pixel behind a border.
+struct Mattes {
+    /// If its colour is a mixture of both sides.
+    mixture: Option<Matte>,
+    /// If its colour does not belong to a plain far side.
+    halo: Option<Matte>,
+}
+
 impl Tile<'_> {
     /// Computes the visible surface, and its extremes around each pixel.
     fn compute_surface(&self, s: &mut Scratch) {
@@ -141,24 +149,27 @@ impl Tile<'_> {
         if !self.others_agree(px, py, middle) {
             return None;
         }
-        let matte = self.matte(x, y, middle, photo, s)?;
-        if off != off.map(isize::signum) {
+        let Mattes { mixture, halo } = self.mattes(x, y, middle, photo, s);
+        let fades = |mixture: &Matte| {
             // between this pixel and the border, colours are mixed even more
-            let beside = |at: usize, off: isize| at.saturating_add_signed(off - off / 2);
-            let (u, v) = (beside(x, off[0]), beside(y, off[1]));
-            if s.visible[v * w + u] < middle && self.matte(u, v, middle, photo, s)?.alpha < matte.alpha {
-                return None;
-            }
-        }
+            let between = |at: usize, off: isize| at.saturating_add_signed(off - off / 2);
+            let (u, v) = (between(x, off[0]), between(y, off[1]));
+            off == off.map(isize::signum)
+                || s.visible[v * w + u] >= middle
+                || self.mattes(u, v, middle, photo, s).mixture.is_some_and(|m| m.alpha >= mixture.alpha)
+        };
+        let matte = halo.or_else(|| mixture.filter(fades))?;
         Some(BorderPixel { x: px, y: py, near, matte })
     }
 
-    /// The matte of pixel `(x, y)`, which lies behind `middle`.
-    fn matte(&self, x: usize, y: usize, middle: f32, photo: Rows, s: &Scratch) -> Option<Matte> {
+    /// Mattes of pixel `(x, y)`, which lies behind `middle`.
+    fn mattes(&self, x: usize, y: usize, middle: f32, photo: Rows, s: &Scratch) -> Mattes {
         let far = s.visible[y * self.r.w as usize + x];
         let (front, back) = self.sides(x, y, [far, middle], photo, s);
         let (px, py) = (self.r.x as usize + x, self.r.y as usize + y - photo.top as usize);
-        Matte::of(photo.rgb[py * self.geometry.grid.width as usize + px], &front, &back)
+        let colour = photo.rgb[py * self.geometry.grid.width as usize + px];
+        let mixture = Matte::of(colour, &front, &back);
+        Mattes { mixture, halo: Matte::halo(colour, mixture, &front, &back) }
     }
 
     /// The nearest pixel in front of `middle` whose plane is also in front at `(x, y)`.

@@ -9,6 +9,14 @@ const DEVIATIONS: f64 = 2.0;
 /// else.
 const MAX_OFFSET: f64 = 0.25;
 
+/// A far side is plain if the standard deviation of its colours, by their distances in RGB, is at most this many levels, and their weight
+/// at least `PLAIN_WEIGHT`, a tenth of the window's. Fewer colours do not tell.
+const PLAIN: f64 = 12.0;
+const PLAIN_WEIGHT: u32 = 64;
+/// A colour does not belong to a plain far side if it differs by more than so many levels and standard deviations. Noise differs less.
+const NOISE: f64 = 8.0;
+const NOISE_DEVIATIONS: f64 = 3.0;
+
 /// Alpha from which a pixel counts as all foreground, in 255ths: renderers treat a texel of 0.99 as opaque.
 const OPAQUE: i32 = 253;
 
@@ -44,6 +52,33 @@ impl Side {
     }
 }
 
+/// The line between the mean colours of two sides.
+struct Line {
+    back: [f64; 3],
+    /// From the mean of the far side to that of the near side, and the square of its length.
+    along: [f64; 3],
+    apart: f64,
+    /// Variance of the far side.
+    variance: f64,
+}
+
+impl Line {
+    /// `None` if the two sides cannot be told apart.
+    fn between(near: &Side, far: &Side) -> Option<Self> {
+        let ((front, front_off), (back, back_off)) = (near.mean()?, far.mean()?);
+        let along: [f64; 3] = std::array::from_fn(|c| front[c] - back[c]);
+        let apart: f64 = along.iter().map(|d| d * d).sum();
+        let told = apart >= CONTRAST * CONTRAST && apart >= DEVIATIONS * DEVIATIONS * (front_off + back_off);
+        told.then_some(Self { back, along, apart, variance: back_off })
+    }
+
+    /// Share of the near side in a colour: between 0 and 1 for mixtures, below 0 for colours beyond the far side.
+    fn share(&self, colour: [u8; 3]) -> f64 {
+        let dot: f64 = (0..3).map(|c| (f64::from(colour[c]) - self.back[c]) * self.along[c]).sum();
+        dot / self.apart
+    }
+}
+
 /// A decomposed pixel: compositing the foreground over the background with `alpha` gives the pixel exactly, in whole levels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Matte {
@@ -62,14 +97,9 @@ impl Matte {
     /// A deviation from the line between the two means is detail of the photo. Each side gets its share of it, so that a pixel that is
     /// almost all background keeps its colour.
     pub fn of(colour: [u8; 3], near: &Side, far: &Side) -> Option<Self> {
-        let ((front, front_off), (back, back_off)) = (near.mean()?, far.mean()?);
-        let along: [f64; 3] = std::array::from_fn(|c| front[c] - back[c]);
-        let apart: f64 = along.iter().map(|d| d * d).sum();
-        if apart < CONTRAST * CONTRAST || apart < DEVIATIONS * DEVIATIONS * (front_off + back_off) {
-            return None;
-        }
-        let dot: f64 = (0..3).map(|c| (f64::from(colour[c]) - back[c]) * along[c]).sum();
-        let share = (dot / apart).clamp(0.0, 1.0);
+        let line = Line::between(near, far)?;
+        let Line { back, along, apart, .. } = line;
+        let share = line.share(colour).clamp(0.0, 1.0);
         let off: [f64; 3] = std::array::from_fn(|c| f64::from(colour[c]) - (back[c] + share * along[c]));
         let alpha = (255.0 * share + 0.5) as u8;
         if alpha == 0 || off.iter().map(|v| v * v).sum::<f64>() > MAX_OFFSET * MAX_OFFSET * apart {
@@ -78,6 +108,21 @@ impl Matte {
         // rounds to nearest; the cast clamps to 0..=255
         let background = std::array::from_fn(|c| (back[c] + (1.0 - share) * off[c] + 0.5) as u8);
         Some(Self::with(colour, background, alpha))
+    }
+
+    /// Decomposes `colour` beside a plain `far` side that it does not belong to: a `mixture`, if it is one, or a colour beyond the far side,
+    /// as sharpening leaves it. The background is the mean of that side, and the foreground takes the whole difference, with the alpha of
+    /// the mixture, otherwise with the least. `None` if the far side is not plain, or if the difference may be noise or detail.
+    pub fn halo(colour: [u8; 3], mixture: Option<Self>, near: &Side, far: &Side) -> Option<Self> {
+        let line = Line::between(near, far)?;
+        let off: f64 = colour.iter().zip(line.back).map(|(c, b)| (f64::from(*c) - b).powi(2)).sum();
+        let is_plain = far.weight >= PLAIN_WEIGHT && line.variance <= PLAIN * PLAIN;
+        let may_be_noise = off <= NOISE * NOISE || off <= NOISE_DEVIATIONS * NOISE_DEVIATIONS * line.variance;
+        let may_be_detail = mixture.is_none() && line.share(colour) > 0.0;
+        if !is_plain || may_be_noise || may_be_detail {
+            return None;
+        }
+        Some(Self::with(colour, line.back.map(|b| (b + 0.5) as u8), mixture.map_or(1, |m| m.alpha)))
     }
 
     /// The matte of `colour` over `background` with `alpha` of at least 1; computes the foreground. Raises alpha if the foreground would

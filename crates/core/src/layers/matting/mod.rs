@@ -1,8 +1,9 @@
 //! Matting at depth borders, so that no outline of an object stays on the background when the view moves.
 //!
 //! Colours of the photo beside a silhouette are mixtures, `C = α F + (1 − α) B`. On the far side of a border, the far layer gets B instead
-//! of the photo's colour, and the near layer extends over it with F and α. The reference view still shows C. Mattes follow from photo,
-//! planes and labels, so a container does not carry them.
+//! of the photo's colour, and the near layer extends over it with F and α. The reference view still shows C. The same goes for a colour
+//! that does not belong to a plain far side, such as the halo of a sharpened photo. Mattes follow from photo, planes and labels, so a
+//! container does not carry them.
 
 mod borders;
 mod matte;

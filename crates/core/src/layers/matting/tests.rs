@@ -20,25 +20,37 @@ fn side(colours: &[([u8; 3], u32)]) -> Side {
     side
 }
 
-/// Reference in `f64`: the share of the near side in a colour, and whether the colour is a mixture.
-fn share(colour: [u8; 3], near: &[([u8; 3], u32)], far: &[([u8; 3], u32)]) -> (f64, bool) {
-    let weight = |all: &[([u8; 3], u32)]| all.iter().map(|(_, w)| f64::from(*w)).sum::<f64>();
-    let mean = |all: &[([u8; 3], u32)], c: usize| all.iter().map(|(p, w)| f64::from(p[c]) * f64::from(*w)).sum::<f64>() / weight(all);
-    let square = |all: &[([u8; 3], u32)]| {
-        let off = |p: [u8; 3]| (0..3).map(|c| (f64::from(p[c]) - mean(all, c)).powi(2)).sum::<f64>();
-        all.iter().map(|(p, w)| off(*p) * f64::from(*w)).sum::<f64>() / weight(all)
-    };
-    let along: Vec<f64> = (0..3).map(|c| mean(near, c) - mean(far, c)).collect();
+/// Reference in `f64`: mean, variance summed over the channels, and weight of some colours.
+fn statistics(all: &[([u8; 3], u32)]) -> ([f64; 3], f64, f64) {
+    let weight: f64 = all.iter().map(|(_, w)| f64::from(*w)).sum();
+    let mean: [f64; 3] = std::array::from_fn(|c| all.iter().map(|(p, w)| f64::from(p[c]) * f64::from(*w)).sum::<f64>() / weight);
+    let off = |p: [u8; 3]| (0..3).map(|c| (f64::from(p[c]) - mean[c]).powi(2)).sum::<f64>();
+    (mean, all.iter().map(|(p, w)| off(*p) * f64::from(*w)).sum::<f64>() / weight, weight)
+}
+
+/// A colour between two sides.
+struct Between {
+    /// Share of the near side, 0 to 1.
+    share: f64,
+    /// Whether the sides can be told apart, and whether the colour is a mixture of them.
+    told: bool,
+    mixed: bool,
+}
+
+/// Reference in `f64`.
+fn between(colour: [u8; 3], near: &[([u8; 3], u32)], far: &[([u8; 3], u32)]) -> Between {
+    let ((near, near_off, _), (far, far_off, _)) = (statistics(near), statistics(far));
+    let along: Vec<f64> = (0..3).map(|c| near[c] - far[c]).collect();
     let apart: f64 = along.iter().map(|v| v * v).sum();
-    let dot: f64 = (0..3).map(|c| (f64::from(colour[c]) - mean(far, c)) * along[c]).sum();
+    let dot: f64 = (0..3).map(|c| (f64::from(colour[c]) - far[c]) * along[c]).sum();
     let share = (dot / apart).clamp(0.0, 1.0);
-    let off: f64 = (0..3).map(|c| (f64::from(colour[c]) - mean(far, c) - share * along[c]).powi(2)).sum();
-    let told = apart >= 24.0 * 24.0 && apart >= 4.0 * (square(near) + square(far));
-    (share, told && off <= 0.0625 * apart && share * 255.0 >= 0.5)
+    let off: f64 = (0..3).map(|c| (f64::from(colour[c]) - far[c] - share * along[c]).powi(2)).sum();
+    let told = apart >= 24.0 * 24.0 && apart >= 4.0 * (near_off + far_off);
+    Between { share, told, mixed: told && off <= 0.0625 * apart && share * 255.0 >= 0.5 }
 }
 
 fn colours() -> impl Strategy<Value = Vec<([u8; 3], u32)>> {
-    let noise = prop_oneof![Just(0u8), Just(20), Just(200)];
+    let noise = prop_oneof![Just(0u8), Just(8), Just(20), Just(200)];
     (any::<[u8; 3]>(), noise, prop::collection::vec((any::<[u8; 3]>(), 1u32..17), 1..30)).prop_map(|(base, noise, all)| {
         let near = |c: u8, n: u8| (i32::from(c) + i32::from(n) * i32::from(noise) / 255 - i32::from(noise) / 2).clamp(0, 255) as u8;
         all.into_iter().map(|(p, w)| (std::array::from_fn(|c| near(base[c], p[c])), w)).collect()
@@ -48,11 +60,11 @@ fn colours() -> impl Strategy<Value = Vec<([u8; 3], u32)>> {
 proptest! {
     #[test]
     fn a_matte_composites_to_its_colour_and_alpha_matches_a_reference_projection(
-        between in -0.2..1.2f64, noise in any::<[u8; 3]>(), near in colours(), far in colours(),
+        at in -0.2..1.2f64, noise in any::<[u8; 3]>(), near in colours(), far in colours(),
     ) {
-        let mix = |c: usize| f64::from(near[0].0[c]) * between + f64::from(far[0].0[c]) * (1.0 - between) + f64::from(noise[c] / 8) - 16.0;
+        let mix = |c: usize| f64::from(near[0].0[c]) * at + f64::from(far[0].0[c]) * (1.0 - at) + f64::from(noise[c] / 8) - 16.0;
         let colour = std::array::from_fn(|c| mix(c) as u8);
-        let (share, mixed) = share(colour, &near, &far);
+        let Between { share, mixed, .. } = between(colour, &near, &far);
         let got = Matte::of(colour, &side(&near), &side(&far));
         prop_assert_eq!(got.is_some(), mixed);
         let Some(got) = got else { return Ok(()) };
@@ -65,6 +77,25 @@ proptest! {
         let most = (0..3).map(least).fold(share, f64::max);
         let alpha = f64::from(got.alpha);
         prop_assert!(alpha >= 255.0 * share - 0.5 - 1e-9 && (alpha <= 255.0 * most + 1.0 || alpha == 255.0 && most > 0.98), "{alpha} {share} {most}");
+    }
+
+    #[test]
+    fn what_does_not_belong_to_a_plain_far_side_leaves_it_and_matches_a_reference(
+        off in any::<[i8; 3]>(), scale in 1i16..9, near in colours(), far in colours(),
+    ) {
+        let add = |c: usize| (i16::from(far[0].0[c]) + i16::from(off[c]) / scale).clamp(0, 255) as u8;
+        let colour = std::array::from_fn(add);
+        let mixture = Matte::of(colour, &side(&near), &side(&far));
+        let got = Matte::halo(colour, mixture, &side(&near), &side(&far));
+        let Between { share, told, mixed } = between(colour, &near, &far);
+        let (mean, variance, weight) = statistics(&far);
+        let apart: f64 = (0..3).map(|c| (f64::from(colour[c]) - mean[c]).powi(2)).sum();
+        let is_plain = weight >= 64.0 && variance <= 144.0;
+        prop_assert_eq!(got.is_some(), told && (mixed || share == 0.0) && is_plain && apart > 64.0 && apart > 9.0 * variance);
+        let Some(got) = got else { return Ok(()) };
+        prop_assert_eq!(over(got), colour);
+        prop_assert!((0..3).all(|c| (f64::from(got.background[c]) - mean[c]).abs() <= 0.5 + 1e-9));
+        prop_assert!(got.alpha >= mixture.map_or(1, |m| m.alpha));
     }
 
     #[test]
