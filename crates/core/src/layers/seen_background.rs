@@ -227,6 +227,8 @@ fn hold_body(delta: &[f32], known: &[f32], shown: &[f32], holds: &mut [u8]) {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
     use crate::layers::occluders::GAP;
     use crate::scene::packed_rgb::words;
@@ -362,5 +364,72 @@ mod tests {
         assert_eq!(hidden(&memory, &moved).1, 0);
         memory.forget();
         assert_eq!(memory.known(), 0);
+    }
+
+    /// Reference in `f64` of a pixel: its colour and δ, remembered and in the last frame, and how long it has stayed.
+    #[derive(Clone, Copy, Debug, Default)]
+    struct Pixel {
+        known: Option<([u8; 3], f64)>,
+        last: Option<([u8; 3], f64)>,
+        steady: u32,
+    }
+
+    fn differ(a: [u8; 3], b: [u8; 3]) -> bool {
+        a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(b))).sum::<u32>() > 48
+    }
+
+    impl Pixel {
+        fn take(&mut self, colour: [u8; 3], delta: f64, frames: u32) {
+            let stays = self.last.is_some_and(|(c, d)| (d - delta).abs() <= 0.05 && !differ(c, colour));
+            self.steady = if stays { (self.steady + frames).min(15) } else { 0 };
+            self.last = Some((colour, delta));
+            if self.steady == 15 && self.known.is_none_or(|(_, d)| delta <= d + 0.05) {
+                self.known = self.last;
+            }
+        }
+
+        /// Whether a layer at `delta` shows what is remembered, behind the visible surface at `shown`.
+        fn holds(&self, delta: f64, shown: f64) -> bool {
+            self.known.is_some_and(|(_, d)| d <= delta + 0.05 && (delta - d).abs() <= (delta - shown).abs())
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
+        /// No δ lies at a bound, where rounding would decide; infinite and NaN as for mixed and unknown pixels.
+        #[test]
+        fn memories_agree_with_their_definition(
+            count in 1usize..40, frames in prop::collection::vec((1u8..9, prop::collection::vec((0usize..24, 0usize..24), 40)), 1..40),
+        ) {
+            let colours = [[10, 10, 10], [26, 26, 26], [27, 26, 26], [200, 0, 0]];
+            let deltas = [0.2, 0.23, 0.27, 0.81, f32::INFINITY, f32::NAN];
+            let (mut want, none) = (vec![Pixel::default(); count], vec![f32::NAN; count]);
+            let (mut known, mut known_delta, mut last, mut last_delta) = (vec![0; count], none.clone(), vec![0; count], none.clone());
+            let (mut steady, mut in_front, mut holds) = (vec![0; count], vec![7; count], vec![7; count]);
+            let (mut rgb, mut delta) = (vec![[10; 3]; count], vec![0.2; count]);
+            for (by, pixels) in &frames {
+                // a pixel keeps its colour and δ in most frames
+                for (i, (colour, surface)) in (0..count).zip(pixels) {
+                    rgb[i] = *colours.get(*colour).unwrap_or(&rgb[i]);
+                    delta[i] = *deltas.get(*surface).unwrap_or(&delta[i]);
+                    want[i].take(rgb[i], f64::from(delta[i]), u32::from(*by));
+                }
+                let mut now = vec![0; count];
+                words(&rgb, &mut now);
+                stay(&mut last, &mut last_delta, &mut steady, &now, &delta, *by);
+                keep(&mut known, &mut known_delta, &steady, &now, &delta);
+                mark(&mut in_front, &known, &known_delta, &now, &delta);
+                let layer: Vec<f32> = delta.iter().rev().copied().collect();
+                hold(&layer, &known_delta, &delta, &mut holds);
+                for (i, p) in want.iter().enumerate() {
+                    let is = (!known_delta[i].is_nan()).then(|| (of_word(known[i]), f64::from(known_delta[i])));
+                    let shows = p.known.is_some_and(|(c, d)| f64::from(delta[i]) <= d + 0.05 && differ(c, rgb[i]));
+                    let held = p.holds(f64::from(layer[i]), f64::from(delta[i]));
+                    prop_assert_eq!((is, u32::from(steady[i])), (p.known, p.steady));
+                    prop_assert_eq!((in_front[i], holds[i]), (u8::from(!shows), u8::from(held)), "{:?} {:?}", p, rgb[i]);
+                }
+            }
+        }
     }
 }
