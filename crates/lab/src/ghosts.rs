@@ -302,7 +302,7 @@ mod tests {
     fn the_residue_is_the_things_share_of_the_colour() {
         let apart = WALL.iter().zip(THING).map(|(w, t)| (f64::from(*w) - f64::from(t)).powi(2)).sum::<f64>().sqrt();
         for (share, left) in [0.0, 0.05, 0.1, 0.5, 1.0].into_iter().flat_map(|share| [(share, false), (share, true)]) {
-            let (mut photo, mut delta, mut seen) = view(0);
+            let (mut photo, mut delta, mut seen) = view(0, 0);
             let rim: [u8; 3] = std::array::from_fn(|c| (f64::from(WALL[c]) * (1.0 - share) + f64::from(THING[c]) * share).round() as u8);
             (30..90).for_each(|y| seen[y * SIDE as usize + 76] = rim);
             if left {
@@ -319,7 +319,7 @@ mod tests {
 
     #[test]
     fn nothing_is_found_without_depth_or_room() {
-        let (photo, _, seen) = view(1);
+        let (photo, _, seen) = view(1, -40);
         for delta in [f32::NAN, f32::INFINITY, 0.5] {
             let delta = vec![delta; seen.len()];
             assert_eq!(Subject { photo: &photo, delta: &delta, focal: 160.0 }.ghosts(&seen, 0.1), Ghosts::default());
