@@ -129,7 +129,7 @@ fn block(page: &str, title: &str) -> String {
     let lines = page.lines().skip_while(|line| *line != title).skip(2);
     lines
         .take_while(|line| line.is_empty() || line.starts_with("    "))
-        .map(|line| format!("{}\n", line.get(4..).unwrap_or_default()))
+        .flat_map(|line| [line.get(4..).unwrap_or_default(), "\n"])
         .collect()
 }
 
