@@ -122,11 +122,13 @@ fn a_body_that_is_cut_off_midway_is_an_error_for_its_client() {
     std::fs::File::options().write(true).open(made.file("container")).unwrap().set_len(half as u64).unwrap();
     let mut client = Connection::open(made.server.addr);
     client.send("GET", &path, &[], &[]);
-    let head = client.head().unwrap();
-    assert_eq!((head.status, head.header("content-length")), (200, Some(made.whole.len().to_string().as_str())));
-    let (mut rest, patience) = (Vec::new(), Instant::now());
-    let ended = client.raw().read_to_end(&mut rest);
-    assert!(rest.len() <= half && patience.elapsed() < Duration::from_mins(1), "{} bytes: {ended:?}", rest.len());
+    let (mut answer, patience) = (Vec::new(), Instant::now());
+    let ended = client.raw().read_to_end(&mut answer);
+    let came = answer.len();
+    assert!(came < half + 2000 && patience.elapsed() < Duration::from_mins(1), "{came} bytes: {ended:?}");
+    // without the head if the server meets the end of the file before it has sent any
+    let head = String::from_utf8_lossy(&answer).to_lowercase();
+    assert!(came == 0 || head.contains(&format!("content-length: {}\r\n", made.whole.len())), "{came} bytes: {ended:?}");
 }
 
 #[test]

@@ -63,7 +63,7 @@ fn check_measures_view_box_corners_on_photos() {
     f.write("photos/notes.txt", b"no photo");
     let checked = f.run(&["check", "--photos", "photos", "--json"]).succeeds().json();
     let cases = checked["cases"].as_array().unwrap();
-    assert_eq!((cases.len(), cases[0]["name"].as_str()), (4, Some("half-way to them, box.png")));
+    assert_eq!((cases.len(), cases[0]["name"].as_str()), (4, Some("half-way to them, box.png, holes")));
 }
 
 /// Whether a page is complete and its plots have only finite numbers.

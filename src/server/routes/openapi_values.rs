@@ -24,6 +24,9 @@ fn restrict(schema: &mut Value, allowed: Value) {
     schema["type"] = "string".into();
 }
 
+/// Names of presets.
+const PRESET_NAME: &str = "^[A-Za-z0-9_-]+$";
+
 /// Schemas whose parsers refuse unknown fields.
 const CLOSED: [&str; 8] = ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm", "WebhookOrder", "WebhookPatch"];
 
@@ -51,6 +54,7 @@ pub fn add_values(document: &mut Value) {
         ("UploadForm", "photo_depth", words::<Switch>()),
         ("UploadForm", "plane_method", words::<PlaneMethod>()),
         ("UploadForm", "planes", json!("^(auto|[0-9]+)$")),
+        ("UploadForm", "preset", json!(PRESET_NAME)),
         ("UploadForm", "refine", words::<Switch>()),
         ("UploadForm", "snap", words::<Switch>()),
         ("UploadForm", "stereo", words::<Stereo>()),
@@ -61,6 +65,7 @@ pub fn add_values(document: &mut Value) {
         ("ExportOrder", "shape", words::<ModelShape>()),
         ("ExportOrder", "textures", words::<ModelTextures>()),
         ("ExportOrder", "path", words::<Path>()),
+        ("ExportOrder", "preset", json!(PRESET_NAME)),
     ];
     for (schema, field, allowed) in fields {
         restrict(&mut document["components"]["schemas"][schema]["properties"][field], allowed);
@@ -77,6 +82,7 @@ pub fn add_values(document: &mut Value) {
         ("view", "quilt", json!("^[0-9]+x[0-9]+$")),
         ("view", "crop", json!("^[^,]+,[^,]+,[^,]+,[^,]+$")),
         ("view", "path", words::<Path>()),
+        ("view", "preset", json!(PRESET_NAME)),
         ("export", "format", exports.collect()),
         ("export", "shape", words::<ModelShape>()),
         ("export", "textures", words::<ModelTextures>()),

@@ -51,7 +51,7 @@ const FAULTS: &[Fault] = &[
         error_target::targets(c, |map, grid, p| place(map, None, grid, &scaled(p, 0.5)));
     }),
     // as if cameras did not come nearer
-    fault("parallax", &["pixels of δ"], &["forward, "], |c| {
+    fault("parallax", &["pixels of δ"], &["all, centred, forward", "a tile, centred, nearly up to a surface"], |c| {
         error_target::pixels(c, |k, v, rect| Parallax::new(k, ViewBox { z: 0.0, ..v }).most(rect));
     }),
     // planes that fit half as well stay
@@ -133,7 +133,7 @@ const FAULTS: &[Fault] = &[
         });
     }),
     // a share that is a little too large
-    fault("matting", &["mattes"], &["shares, a soft outline"], |c| {
+    fault("matting", &["mattes"], &["shares, black before white"], |c| {
         matting::cases(c, |photo, geometry| {
             let mut layers = texture(photo, geometry, geometry.masks());
             let alphas = layers.iter_mut().flatten().flat_map(|l| &mut l.shape.alpha);

@@ -61,7 +61,8 @@ fn sample_of(photo: &Photo, geometry: &Geometry, masks: &Masks) -> Result<Option
     let one = |start: &u32| {
         let all = *start..(start + stretch).min(tiles);
         // the first on ties
-        let deepest = all.rev().max_by(|a, b| step(geometry, *a).total_cmp(&step(geometry, *b))).unwrap_or(*start);
+        let deepest =
+            all.rev().map(|tile| (tile, step(geometry, tile))).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(*start, |(tile, _)| tile);
         let Part { photo, geometry, tile } = Part::around(photo, geometry, deepest, reach.tiles(grid));
         compare(&photo, &geometry, masks, &[1.0, -1.0].map(|side| reach.camera(&geometry, tile, side)))
     };
@@ -76,10 +77,14 @@ fn sample_of(photo: &Photo, geometry: &Geometry, masks: &Masks) -> Result<Option
 /// Derives the kept texels of a geometry.
 type Masks = dyn Fn(&Geometry) -> Vec<LayerMasks> + Sync;
 
-/// Largest step in depth within a tile: between its nearest and its farthest plane at its centre.
+/// Largest step in depth within a tile: between the nearest and the farthest plane that it shows, or its background, at its centre.
 fn step(geometry: &Geometry, tile: u32) -> f64 {
-    let Tile { planes, background, .. } = &geometry.tiles[tile as usize];
-    let all = || planes.iter().chain(background).map(|p| p.a);
+    let Tile { planes, labels, background } = &geometry.tiles[tile as usize];
+    let mut shown = [false; 1 << u8::BITS];
+    for label in labels {
+        shown[usize::from(*label)] = true;
+    }
+    let all = || planes.iter().zip(shown).filter(|(_, shown)| *shown).map(|(p, _)| p).chain(background).map(|p| p.a);
     all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min)
 }
 
