@@ -81,7 +81,8 @@ async fn an_interrupted_making_is_done_once(bed: Bed) {
         let is_done = photo.state == PhotoState::Done;
         assert_eq!(library.job(JobKind::Make, id, None).await.is_ok(), !is_done, "after {polls} polls");
         if is_done {
-            assert!(polls > 3, "{polls}");
+            // how many polls it takes depends on how fast the database answers
+            assert!(polls > 1, "it was never interrupted midway");
             is_consistent(&bed, &library, 1).await;
             assert_eq!(count(&library, "deliveries").await, 1);
             if answer.is_some() {
