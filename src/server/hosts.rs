@@ -6,7 +6,7 @@
 use std::net::{IpAddr, SocketAddr};
 
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, Request, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, Request, StatusCode, header};
 
 use super::problem::Problem;
 
@@ -77,7 +77,7 @@ tokio::task_local! {
 /// `scheme://host` of this server as the client sees it: from `Host`, which [`Hosts::check`] has checked, from the connection, and from the
 /// scheme that a proxy names (`X-Forwarded-Proto`). `None` without a valid `Host`.
 pub fn origin(headers: &HeaderMap) -> Option<String> {
-    let host: Authority = headers.get(header::HOST)?.to_str().ok()?.parse().ok().filter(|host: &Authority| !host.host().is_empty())?;
+    let host = host_of(headers.get(header::HOST)?)?;
     let named = headers.get("x-forwarded-proto").and_then(|v| v.to_str().ok());
     // the first is of the proxy next to the browser
     let proto = named.and_then(|protos| protos.split(',').next()).map(str::trim);
@@ -92,8 +92,12 @@ fn authority<B>(request: &Request<B>) -> Result<Authority, Problem> {
     let wrong = |detail: &str| Problem::bad_request(detail).field("Host");
     let mut all = request.headers().get_all(header::HOST).iter();
     let (Some(host), None) = (all.next(), all.next()) else { return Err(wrong("a request has one Host header (RFC 9112, section 3.2)")) };
-    let host = host.to_str().ok().and_then(|v| v.parse::<Authority>().ok()).filter(|a| !a.as_str().contains('@') && !a.host().is_empty());
-    host.ok_or_else(|| wrong("the Host header is not a host"))
+    host_of(host).ok_or_else(|| wrong("the Host header is not a host"))
+}
+
+/// A host and perhaps a port, without a user.
+fn host_of(value: &HeaderValue) -> Option<Authority> {
+    value.to_str().ok()?.parse().ok().filter(|a: &Authority| !a.as_str().contains('@') && !a.host().is_empty())
 }
 
 /// Lower case, without the trailing dot.
@@ -115,7 +119,7 @@ mod tests {
     use axum::body::Body;
 
     fn headers(pairs: &[(&'static str, &'static str)]) -> HeaderMap {
-        pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect()
+        pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), HeaderValue::from_static(v))).collect()
     }
 
     fn status(hosts: &Hosts, target: &str, all: &[&str]) -> u16 {
