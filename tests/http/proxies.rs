@@ -92,5 +92,5 @@ fn others_cannot_claim_to_be_a_user() {
     assert_eq!(ids(&ask(&server, "GET", "/v1/photos", &claim, &[])).len(), 0, "it is the photo of a stranger");
     assert!(ask(&server, "GET", "/", &claim, &[]).all("set-cookie").contains("tmpi_owner"));
     let twice = [claim[0], claim[0]];
-    assert_eq!(ask(&server, "GET", "/v1/photos", &twice, &[]).status, 200, "nobody reads it");
+    assert_eq!(ask(&server, "GET", "/v1/photos", &twice, &[]).status, 200, "the server ignores it");
 }

@@ -9,7 +9,7 @@ fn size(data: &std::path::Path, id: &str) -> u64 {
     contents(data, id, "").iter().map(|file| std::fs::metadata(file).unwrap().len()).sum()
 }
 
-/// These rules, applied often; files that nobody fetches are deleted at once.
+/// These rules, applied often; the server deletes files without downloads at once.
 fn often(retention: Retention) -> Limits {
     let often = Duration::from_millis(50);
     Limits { retention, retain_sweep: often, exports: Exports { keep: often, ..Exports::default() }, ..Limits::default() }

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Runs the whole server in a cgroup with a memory limit (root only). With 256 MB it serves 1.5 MP photos and rejects 50 MP with the required memory; with
+"""Runs the whole server in a cgroup with a memory limit (root only). With 256 MB it serves 2 MP photos and rejects 50 MP with the required memory; with
 1 GB it makes 50 MP. Resident memory then returns to about its idle value, and stays flat over many jobs, views and abandoned requests."""
 import argparse, os, socket, time
 from pathlib import Path
@@ -122,7 +122,7 @@ def main():
         skip("memory limits", "a cgroup needs root")
     elif args.only != "flat":
         table = Table("limit", "time for a photo", "50 MP", "peak", "resident idle / after 30 s", "OOM kills")
-        run_within(table, 256, ("--memory", "256"), 1.5, False)
+        run_within(table, 256, ("--memory", "256"), 2, False)
         run_within(table, 1024, ("--memory", "1024"), 2, True)
     if args.only != "bounds":
         table = Table("jobs", "views", "abandoned", "resident after each sixth, MiB")

@@ -81,8 +81,9 @@ async fn an_interrupted_making_is_done_once(bed: Bed) {
         let is_done = photo.state == PhotoState::Done;
         assert_eq!(library.job(JobKind::Make, id, None).await.is_ok(), !is_done, "after {polls} polls");
         if is_done {
-            // how many polls it takes depends on how fast the database answers
-            assert!(polls > 1, "it was never interrupted midway");
+            // an answer of PostgreSQL may be there before the next poll
+            let fewest = if bed.url.is_some() { 1 } else { 3 };
+            assert!(polls > fewest, "{polls}");
             is_consistent(&bed, &library, 1).await;
             assert_eq!(count(&library, "deliveries").await, 1);
             if answer.is_some() {

@@ -2,7 +2,7 @@
 //!
 //! [`Options::memory_with`] exceeds every peak of the process that `tests/load/making_memory.py` measured: on photographs, and on pictures and
 //! depth maps of one ramp, of noise and of blocks, with 0.003 to 50 megapixels, tiles from 8 pixels to the whole photo, and 1 to 64 planes per
-//! tile, with networks and with pruning verified.
+//! tile; with Θ, with Ψ and with pruning verified, up to 2 megapixels.
 
 use super::{Denoise, ExtraPicture, MakeError, Options, PlaneCount, Sizes, Switch};
 use crate::depth::DepthError;
