@@ -67,7 +67,7 @@ pub(super) struct RenderArgs {
 }
 
 /// Three to six numbers.
-pub(super) fn pose(text: &str) -> Result<Pose, String> {
+fn pose(text: &str) -> Result<Pose, String> {
     let all = numbers(text)?;
     if !(3..=6).contains(&all.len()) {
         return Err("expected three to six numbers".into());
