@@ -1,7 +1,6 @@
 //! Exports scenes for use without tmpi: a page that opens from disk, a glTF model, layers for image editors, photo and depth side by side, an archive of the parts.
 
 mod backdrop;
-mod bands;
 mod glb;
 mod glb_writer;
 mod html;
