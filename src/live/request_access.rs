@@ -32,7 +32,7 @@ impl RoomsContext {
             same_site.clone()?;
         }
         let token = query.get("token").or_else(|| token_in_headers(headers));
-        let access = match (&self.rooms.config.key, token, self.rooms.nodes.get()) {
+        let access = match (&self.rooms.key, token, self.rooms.nodes.get()) {
             (_, Some(token), Some(nodes)) if grant == Grant::Watch && nodes.admits(room, token).await => Some(RoomAccess::Node),
             (Some(key), Some(token), _) => {
                 token_expiry(key, grant, room, token, since_1970().as_secs()).map(|ends| RoomAccess::Until(deadline(ends)))

@@ -163,7 +163,7 @@ async fn watch_token(
 ) -> Result<Json<WatchToken>, Problem> {
     here.check(&name, Grant::Publish, &uri, &headers).await?;
     let query = Pairs::read(&uri, &["token"])?;
-    let token = here.rooms.config.key.as_ref().map(|key| {
+    let token = here.rooms.key.as_ref().map(|key| {
         let (given, now) = (query.get("token").or_else(|| token_in_headers(&headers)), since_1970().as_secs());
         let end = given.and_then(|given| token_expiry(key, Grant::Publish, &name, given, now)).unwrap_or(now + TOKEN_LIFETIME.as_secs());
         room_token(key, Grant::Watch, &name, end)
