@@ -140,4 +140,5 @@ fn viewers_of_a_film_are_told_at_its_end_that_the_publisher_has_gone() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     // the room does not wait for this publisher to return
     assert_eq!(Client::watch(server.addr, "attic").farewell().cause(), Cause::Left);
+    assert!(get(server.addr, "/v1/live/attic").json()["ended"].is_null(), "it was not refused");
 }
