@@ -43,7 +43,6 @@ pub(super) struct WatchArgs {
     json: bool,
 }
 
-/// Statistics of one second.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 struct Second {
     frames: u64,
@@ -84,12 +83,10 @@ struct Watcher<'a> {
     /// The recording, created by the first message: a room without a publisher must not empty an earlier one.
     record: Option<std::fs::File>,
     second: Second,
-    /// Frames in total.
     frames: u64,
 }
 
 impl Watcher<'_> {
-    /// Watches on one connection.
     async fn watch(&mut self, mut socket: Socket) -> anyhow::Result<Option<SessionEnd>> {
         let (mut model, mut begun, before) = (None, Some(Instant::now()), self.frames);
         let (error, again) = loop {

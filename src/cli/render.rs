@@ -66,7 +66,6 @@ pub(super) struct RenderArgs {
     json: bool,
 }
 
-/// Three to six numbers.
 fn pose(text: &str) -> Result<Pose, String> {
     let all = numbers(text)?;
     if !(3..=6).contains(&all.len()) {

@@ -207,7 +207,6 @@ impl ServeArgs {
         }))
     }
 
-    /// The presets.
     fn presets(&self, limits: &Limits) -> anyhow::Result<Presets> {
         Presets::new(&self.preset, self.presets_only, limits).map_err(|e| Usage(format!("--preset: {e}")).into())
     }

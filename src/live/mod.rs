@@ -84,7 +84,6 @@ const BROKEN: u32 = 30;
 const BROKEN_FIRST: u32 = 10;
 /// Panics in a row of the geometry before the server disconnects the publisher.
 const PANICS: u32 = 10;
-/// Longest name, in bytes.
 const NAME: usize = 64;
 /// How long a room waits for its publisher to come back.
 const COME_BACK: Duration = Duration::from_secs(10);
@@ -196,7 +195,6 @@ impl Rooms {
         }
     }
 
-    /// Metrics.
     pub(crate) fn counts(&self) -> [Metric; 2] {
         let (all, edges) = {
             let rooms = self.lock();

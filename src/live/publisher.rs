@@ -66,7 +66,6 @@ struct Refused {
     reason: String,
     /// The publisher may come back.
     again: bool,
-    /// The cause, for its program.
     cause: Cause,
 }
 
@@ -147,7 +146,6 @@ struct Until<'a> {
 
 /// How a publisher has left.
 enum Gone {
-    /// It sent BYE.
     Said,
     /// Its connection broke: it may come back.
     Lost,
@@ -361,7 +359,6 @@ struct Frames {
     most: usize,
     /// Number of the next frame; `None` before the first.
     next: Option<u64>,
-    /// Remaining credit.
     allowed: u32,
     /// When the next credit is due, which limits the frame rate.
     due: Instant,

@@ -14,7 +14,6 @@ use crate::server::{Pairs, Problem, check_origin, since_1970};
 /// State of the handlers.
 #[derive(Clone)]
 pub struct RoomsContext {
-    /// The rooms.
     pub rooms: Arc<Rooms>,
     /// Set when the server stops.
     pub stop: CancellationToken,
@@ -47,12 +46,10 @@ impl RoomsContext {
     }
 }
 
-/// Granted access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum RoomAccess {
     /// Until a token ends; `None` for this machine's own user.
     Until(Option<Instant>),
-    /// For another node.
     Node,
 }
 

@@ -35,14 +35,12 @@ pub fn watching_api() -> OpenApiRouter<RoomsContext> {
         .routes(routes!(frames_over_http::group))
 }
 
-/// Routes for publishers.
 pub fn publishing_api() -> OpenApiRouter<RoomsContext> {
     OpenApiRouter::new().routes(routes!(watch_token)).routes(routes!(publish))
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
 
-/// Configures the upgrade.
 fn bounded(upgrade: Upgrade, most: usize) -> Result<WebSocketUpgrade, Problem> {
     let upgrade = upgrade.map_err(|e| Problem::new(StatusCode::UPGRADE_REQUIRED, "upgrade", e.to_string()))?;
     Ok(upgrade.protocols([PROTOCOL]).max_message_size(most).max_frame_size(most).max_write_buffer_size(WRITE_BUFFER))
