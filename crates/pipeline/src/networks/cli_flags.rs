@@ -40,7 +40,7 @@ pub struct ModelFlags {
 impl ModelFlags {
     /// The settings that the flags describe.
     pub fn settings(&self) -> Settings {
-        let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
+        let onnx = Config { threads: self.threads.into(), providers: self.provider.clone() };
         let DepthModel { adapter, file, .. } = &self.depth_model;
         let Self { depth_pixels, depth_smoothing, depth_ramp, flip, .. } = *self;
         Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, depth_ramp, flip, onnx, ..Settings::default() }
