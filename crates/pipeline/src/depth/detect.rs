@@ -8,14 +8,13 @@ use super::{ADAPTERS, Adapter, adapter};
 use crate::networks::{OnnxGraph, onnx_graph};
 
 /// Words of a file's name that identify a network, the more specific ones first, and its adapter.
-const WORDS: [(&[&str], &str); 13] = [
+const WORDS: [(&[&str], &str); 12] = [
     (&["depth-anything-v3"], "depth-anything-3"),
     (&["depthanything3"], "depth-anything-3"),
     (&["depthanythingv3"], "depth-anything-3"),
     (&["moge2"], "moge-2"),
     (&["depth-anything", "metric"], "depth-anything-v2-metric"),
     (&["depth-anything"], "depth-anything-v2"),
-    (&["zoe"], "zoedepth"),
     (&["dpt", "hybrid"], "dpt-hybrid"),
     (&["dpt", "large"], "dpt-large"),
     (&["midas", "small"], "midas-v2.1-small"),
@@ -64,7 +63,6 @@ fn by_graph(graph: &OnnxGraph) -> Option<&'static Adapter> {
         // the name in `transformers`
         (384, 384) if graph.input == "pixel_values" => "dpt-large",
         (384, 384) => "midas-v2.1",
-        (512, 384) => "zoedepth",
         (14.., 14..) if w % 14 == 0 && h % 14 == 0 && (w % 32 != 0 || h % 32 != 0) => "depth-anything-v2",
         _ => return None,
     };
@@ -94,8 +92,6 @@ mod tests {
             ("depth-anything-v2-small/onnx/model.onnx", "depth-anything-v2"),
             ("Depth-Anything-V2-Metric-Indoor-Small-hf/model.onnx", "depth-anything-v2-metric"),
             ("depth_anything_metric_depth_indoor.onnx", "depth-anything-v2-metric"),
-            ("ZoeD_N.onnx", "zoedepth"),
-            ("zoedepth-nyu-kitti/onnx/model.onnx", "zoedepth"),
             ("depth-anything-3-small.onnx", "depth-anything-3"),
             ("depth-anything-v3-small/onnx/model.onnx", "depth-anything-3"),
             ("Depth-Anything-3-Onnx/da3metric-large_504.onnx", "depth-anything-3"),
@@ -125,7 +121,6 @@ mod tests {
         assert_eq!(of("pixel_values", 384, 384, false), Some("dpt-large"));
         assert_eq!(of("image", 518, 518, false), Some("depth-anything-v2"));
         assert_eq!(of("image", 686, 518, false), Some("depth-anything-v2"));
-        assert_eq!(of("pixel_values", 512, 384, false), Some("zoedepth"));
         assert_eq!(of("image", -1, -1, false), None);
         assert_eq!(of("image", 448, 224, false), None);
     }
