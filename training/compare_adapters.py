@@ -3,7 +3,7 @@
     python compare_adapters.py ../target/release/tmpi [photo …]
 
 Builds each architecture with few layers, exports it to ONNX, and runs it twice: in PyTorch with the image processor of `transformers` (MiDaS: OpenCV, as
-in its project), and with `tmpi depth --raw`. For Depth Anything 3, MoGe-2 and ZipDepth, which `transformers` does not have, small convolutional networks
+in its project), and with `tmpi depth --raw`. For Depth Anything 3 and MoGe-2, which `transformers` does not have, small convolutional networks
 have the published interface, and this script reimplements their projects' pre- and postprocessing. Compares the map at the network's size,
 without the program's upsampling along the photo's edges."""
 
@@ -186,25 +186,6 @@ class Points(nn.Module):
         return points, F.normalize(x[:, 3:6], dim=1).permute(0, 2, 3, 1), torch.sigmoid(x[:, 6] - 1.2), (x[:, 7].mean((1, 2)) / 4).exp()
 
 
-class Stem(nn.Module):
-    """The interface of ZipDepth, which normalises its input, with the name of its first convolution."""
-
-    inputs, outputs = ["image"], ["depth"]
-
-    def __init__(self):
-        super().__init__()
-        self.encoder = nn.Module()
-        self.encoder.stem_half = nn.Module()
-        self.encoder.stem_half.conv = nn.Conv2d(3, 24, 3, 1, 1)
-        self.decoder = trunk(24, 1)
-        self.register_buffer("mean", torch.tensor(IMAGENET[0])[:, None, None])
-        self.register_buffer("std", torch.tensor(IMAGENET[1])[:, None, None])
-
-    def forward(self, pixels):
-        x = self.encoder.stem_half.conv((pixels - self.mean) / self.std)
-        return self.decoder(x.relu()).relu()
-
-
 def three(several):
     """Depth Anything 3's preprocessing: OpenCV on bytes, longer side 504, then each side to the nearest multiple of 14, ties up."""
 
@@ -231,14 +212,6 @@ def moge(image):
     rows, columns = round((1800 / aspect) ** 0.5), round((1800 * aspect) ** 0.5)
     x = torch.from_numpy((np.asarray(image) / 255).transpose(2, 0, 1).astype(np.float32))[None]
     return F.interpolate(x, (rows * 14, columns * 14), mode="bilinear", align_corners=False, antialias=True), torch.tensor(rows * columns)
-
-
-def zipdepth(image):
-    """ZipDepth's preprocessing: OpenCV on bytes, shorter side 384, multiples of 32."""
-    scale = 384 / min(image.size)
-    size = [max(32, round(v * scale / 32) * 32) for v in image.size]
-    x = cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_LINEAR)
-    return torch.from_numpy(x.transpose(2, 0, 1).astype(np.float32) / 255)[None]
 
 
 def ignore_threshold(disparity, above):
@@ -291,13 +264,12 @@ def architectures():
             yield f"{name} {letter}", name, lambda letter=letter, kind=kind: anything(*sizes[letter], kind), by(processor), False, kind == "metric", None
 
     def made(net):
-        return net, (net.decoder if isinstance(net, Stem) else net.net)[-1]
+        return net, net.net[-1]
 
     yield "depth-anything-3", "depth-anything-3", lambda: made(Views(True)), three(True), True, False, lambda depth, _: 1 / depth[0, 0]
     sky = lambda depth, sky: ignore_threshold(torch.where(sky[0] < 0.3, 1 / depth[0], 0), sky[0] - 0.3)  # noqa: E731
     yield "depth-anything-3 sky", "depth-anything-3", lambda: made(Views(False)), three(False), False, False, sky
     yield "moge-2", "moge-2", lambda: made(Points()), moge, True, False, moge_disparity
-    yield "zipdepth", "zipdepth", lambda: made(Stem()), zipdepth, False, False, lambda depth: depth[0, 0]
 
 
 def enliven(net, last, *x):

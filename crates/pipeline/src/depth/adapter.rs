@@ -1,6 +1,6 @@
 //! What each depth network expects and returns, as data.
 
-use crate::photo::{Filter, Interpolation};
+use crate::photo::Filter;
 
 /// Size at which a network runs, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,8 +13,6 @@ pub enum SizeRule {
     Near(u32, u32),
     /// The photo's aspect with neither side longer than this.
     Within(u32),
-    /// The photo's aspect with the shorter side this long.
-    Shortest(u32),
     /// First the photo's aspect in whole pixels with the longer side this long, then the nearest multiples.
     Longest(u32),
     /// The photo's aspect with about this many squares of [`Adapter::multiple`] pixels a side.
@@ -30,8 +28,8 @@ pub enum Sampling {
     Bytes(Filter),
     /// By `OpenCV`'s cubic over four pixels, whatever the ratio.
     Four,
-    /// By an interpolation of `OpenCV` with its rounding to bytes; with [`SizeRule::Longest`], by way of its size in whole pixels.
-    OpenCv(Interpolation),
+    /// As `OpenCV` does it, with its rounding to bytes; with [`SizeRule::Longest`], by way of its size in whole pixels.
+    OpenCv,
 }
 
 /// What a network returns for a pixel.
@@ -141,7 +139,7 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
 /// `transformers`. The ONNX files of the `MiDaS` project have one size and normalise their input themselves; those exported from its
 /// torch hub do neither. `MoGe` resamples the photo to its tokens itself, but without antialiasing in ONNX: it gets what its own code
 /// makes of the photo, for as many tokens as its ONNX documentation takes.
-pub const ADAPTERS: [Adapter; 12] = [
+pub const ADAPTERS: [Adapter; 11] = [
     Adapter {
         smoothing: 100.0,
         ramp: 0.05,
@@ -160,13 +158,12 @@ pub const ADAPTERS: [Adapter; 12] = [
     Adapter {
         outputs: Outputs::VIEWS,
         views: true,
-        ..entry("depth-anything-3", SizeRule::Longest(504), 14, IMAGENET, Sampling::OpenCv(Interpolation::AreaOrCubic), Kind::Metric)
+        ..entry("depth-anything-3", SizeRule::Longest(504), 14, IMAGENET, Sampling::OpenCv, Kind::Metric)
     },
     Adapter {
         outputs: Outputs::POINTS,
         ..entry("moge-2", SizeRule::Squares(1800), 14, PLAIN, Sampling::Unrounded(Filter::Triangle), Kind::Points)
     },
-    entry("zipdepth", SizeRule::Shortest(384), 32, PLAIN, Sampling::OpenCv(Interpolation::Linear), Kind::Disparity),
 ];
 
 /// Finds a network by its name.
@@ -203,11 +200,6 @@ impl Adapter {
                 let (width, height) = Self::squeezed(width, height);
                 let scale = (f64::from(side) / width).min(f64::from(side) / height);
                 (self.rounded(scale * width, Some(side)), self.rounded(scale * height, Some(side)))
-            }
-            SizeRule::Shortest(side) => {
-                let (width, height) = Self::squeezed(width, height);
-                let scale = f64::from(side) / width.min(height);
-                (self.rounded(width * scale, None), self.rounded(height * scale, None))
             }
             SizeRule::Longest(_) => {
                 let (width, height) = self.intermediate_size(width, height).unwrap_or((width, height));
@@ -338,9 +330,6 @@ mod tests {
         assert_eq!(size("moge-2", 518, 518), (588, 588), "42² = 1764 tokens");
         assert_eq!(size("moge-2", 4000, 3000), (686, 518), "49 × 37 = 1813");
         assert_eq!(size("moge-2", 1000, 2000), (420, 840), "30 × 60 = 1800");
-        assert_eq!(size("zipdepth", 1000, 1000), (384, 384));
-        assert_eq!(size("zipdepth", 1920, 1080), (672, 384), "682.7 is 21.3 multiples");
-        assert_eq!(size("zipdepth", 300, 400), (384, 512));
     }
 
     proptest! {

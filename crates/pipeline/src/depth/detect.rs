@@ -54,9 +54,6 @@ fn by_graph(graph: &OnnxGraph) -> Option<&'static Adapter> {
     if depth && (gives("sky") || gives("depth_conf") || graph.shape.len() == 5 && (gives("confidence") || gives("extrinsics"))) {
         return adapter("depth-anything-3");
     }
-    if depth && graph.convolution.contains("encoder.stem_half") {
-        return adapter("zipdepth");
-    }
     let [_, _, h, w] = graph.shape[..] else { return None };
     let name = match (w, h) {
         (256, 256) => "midas-v2.1-small",
@@ -102,8 +99,6 @@ mod tests {
             ("DepthAnything3_ONNX/small.onnx", "depth-anything-3"),
             ("moge-2-vits-normal-onnx/model.onnx", "moge-2"),
             ("moge2-vitb-normal.onnx", "moge-2"),
-            ("zipdepth_base_384x384.onnx", "zipdepth"),
-            ("zipdepth_base_npu_512x384.onnx", "zipdepth"),
         ] {
             assert_eq!(detect(Path::new(file)).map(|a| a.name), Some(want), "{file}");
         }
@@ -130,8 +125,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("m.onnx");
         let tests = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/onnx"));
-        for (fixture, want) in [("points", Some("moge-2")), ("views", Some("depth-anything-3")), ("stem", Some("zipdepth")), ("mean", None)]
-        {
+        for (fixture, want) in [("points", Some("moge-2")), ("views", Some("depth-anything-3")), ("mean", None)] {
             std::fs::copy(tests.join(fixture).with_extension("onnx"), &file).unwrap();
             assert_eq!(detect(&file).map(|a| a.name), want, "{fixture}");
         }

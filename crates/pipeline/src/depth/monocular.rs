@@ -99,13 +99,13 @@ impl Monocular {
         let mut small: Vec<[f32; 3]> = match sampling {
             Sampling::Unrounded(filter) => resample(&photo.rgb, from, size, filter, load, |p| normal(p.map(|v| v.clamp(0.0, 1.0)))),
             Sampling::Bytes(filter) => resample_bytes(&photo.rgb, from, size, filter).into_iter().map(|p| normal(load(p))).collect(),
-            Sampling::OpenCv(kind) => {
+            Sampling::OpenCv => {
                 // by way of the size in whole pixels if the rule leads to this size, rounded to bytes in between, as the publishers do
                 let ruled = Adapter { size: self.rule, ..self.adapter };
                 let first = ruled.intermediate_size(from.0, from.1).filter(|_| ruled.network_size(from.0, from.1) == size);
-                let between = first.map(|between| resize_opencv(&photo.rgb, from, between, kind));
+                let between = first.map(|between| resize_opencv(&photo.rgb, from, between));
                 let (source, from) = (between.as_ref().unwrap_or(&photo.rgb), first.unwrap_or(from));
-                resize_opencv(source, from, size, kind).into_iter().map(|p| normal(load(p))).collect()
+                resize_opencv(source, from, size).into_iter().map(|p| normal(load(p))).collect()
             }
             Sampling::Four => resample_by(&photo.rgb, from_w, &Taps::four(from_w, to_w), &Taps::four(from_h, to_h), load, normal),
         };

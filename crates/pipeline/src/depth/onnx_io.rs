@@ -184,8 +184,8 @@ mod tests {
         says("depth-anything-v2", &[info("image", &[1, 1, 3, 504, 504])], &["depth"], "[1, 1, 3, 504, 504]");
         says("moge-2", &[image()], &["depth", "normal"], "returns depth, normal, but none is called points");
         says("moge-2", &[info("num_tokens", &[])], &["points"], "none of its inputs is a picture");
-        says("zipdepth", &[info("image", &[1, 1, 32, 32])], &["depth"], "three channels");
-        says("zipdepth", &[], &[], "none of its inputs");
+        says("dpt-large", &[info("image", &[1, 1, 32, 32])], &["depth"], "three channels");
+        says("dpt-large", &[], &[], "none of its inputs");
     }
 
     fn tensor(shape: &[usize], data: Vec<f32>) -> Tensor {

@@ -39,10 +39,9 @@ pub struct Weights {
 /// The published network to fetch if there is none: of the kinds whose maps were inspected here, the smallest download of the best.
 pub const BETTER: &str = "depth-anything-v2-small-fp16";
 
-/// Adapters from best to worst: papers report smaller errors on unseen data for each than for those after it. MoGe-2 comes first because it reports sharper edges, along which planes are cut. Depth Anything 3
-/// reports smaller errors on distances than 2, at fewer pixels. `ZipDepth` reports smaller errors than small networks, one of which is
-/// `MiDaS`.
-const RANKS: [&str; 12] = [
+/// Adapters from best to worst: papers report smaller errors on unseen data for each than for those after it. MoGe-2 comes first because it
+/// reports sharper edges, along which planes are cut. Depth Anything 3 reports smaller errors on distances than 2, at fewer pixels.
+const RANKS: [&str; 11] = [
     "moge-2",
     "depth-anything-3",
     "depth-anything-v2",
@@ -51,21 +50,19 @@ const RANKS: [&str; 12] = [
     "dpt-hybrid",
     "midas-v2.1",
     "midas-v2.1-hub",
-    "zipdepth",
     "midas-v2.1-small",
     "midas-v2.1-small-hub",
     "tmpi",
 ];
 
 /// Adapters of networks that are available only as files, and the licences of their weights.
-pub const BY_FILE: [(&str, &str); 7] = [
+pub const BY_FILE: [(&str, &str); 6] = [
     ("midas-v2.1", "MIT, Intel ISL"),
     ("midas-v2.1-hub", "MIT, Intel ISL"),
     ("midas-v2.1-small-hub", "MIT, Intel ISL"),
     ("dpt-large", "MIT, Intel ISL"),
     ("dpt-hybrid", "MIT, Intel ISL"),
     ("depth-anything-v2-metric", "small: Apache-2.0, larger ones: CC BY-NC 4.0, the Depth Anything V2 authors"),
-    ("zipdepth", "MIT, the ZipDepth authors"),
 ];
 
 /// All networks that `tmpi models get` can fetch.
