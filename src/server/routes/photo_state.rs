@@ -140,9 +140,6 @@ pub struct PhotoList {
 
 impl PhotoState {
     /// The full state of a photo.
-    ///
-    /// # Errors
-    /// 503 if the library is unreachable.
     pub async fn of(app: &AppState, photo: &Photo) -> Result<Self, Problem> {
         let mut state = Self::of_row(app, photo);
         match photo.state {
