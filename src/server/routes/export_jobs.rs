@@ -110,7 +110,7 @@ impl ExportState {
             JobState::Failed => ExportStateName::Failed,
         };
         let key = job.key().unwrap_or_default().to_owned();
-        let photo = format!("/v1/photos/{}", job.photo);
+        let photo = app.base.at(&format!("/v1/photos/{}", job.photo));
         let this = format!("{photo}/exports/{key}");
         let stays = app.limits.exports.keep.as_millis() as i64;
         Self {
