@@ -165,7 +165,8 @@ export class Tmpi {
 
   /** Address of a path that the server returned. @param {string} path */
   address(path) {
-    const url = new URL(path, this.base);
+    const below = this.base.pathname.replace(/\/$/, '');
+    const url = new URL(path.startsWith(`${below}/`) ? path : below + path, this.base);
     if (url.origin !== this.base.origin) throw new TmpiError('answer', `${path} is of another server`);
     return url.href;
   }

@@ -142,8 +142,11 @@ async fn connect(room: &str, what: &str, token: Option<&str>) -> Result<Socket, 
     };
     let (host, path) = address.and_then(|a| a.split_once('/')).context("a room's address is https://HOST/live/ROOM, or http://")?;
     let path = path.trim_end_matches('/');
-    let name = path.strip_suffix("/publish").unwrap_or(path).rsplit('/').next().unwrap_or_default();
-    let mut request = format!("{socket}://{host}/v1/live/{name}/{what}").into_client_request().context("a room's address")?;
+    let (before, name) = path.strip_suffix("/publish").unwrap_or(path).rsplit_once('/').unwrap_or(("", path));
+    // of the page at live/ROOM or the room at v1/live/ROOM, perhaps below a path of the server
+    let base = before.strip_suffix("live").unwrap_or_default();
+    let base = base.strip_suffix("v1/").unwrap_or(base);
+    let mut request = format!("{socket}://{host}/{base}v1/live/{name}/{what}").into_client_request().context("a room's address")?;
     if let Some(token) = token.or(own) {
         request.headers_mut().insert(AUTHORIZATION, format!("Bearer {token}").parse().context("the token is malformed")?);
     }

@@ -18,8 +18,9 @@ use tmpi_pipeline::networks::cli_flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    AddressPolicy, Collector, Config, ConfiguredWebhook, Limits, Network, NetworkUpgrade, PipelineMaker, Preset, Presets, ProcessMaker,
-    Proxies, Rates, Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, hex, run_child, stop_signal, use_one_malloc_arena,
+    AddressPolicy, BasePath, Collector, Config, ConfiguredWebhook, Limits, Network, NetworkUpgrade, PipelineMaker, Preset, Presets,
+    ProcessMaker, Proxies, Rates, Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, hex, run_child, stop_signal,
+    use_one_malloc_arena,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -76,6 +77,9 @@ pub(super) struct ServeArgs {
     /// Host name that the server accepts besides localhost and its address, as it arrives in the Host header; may be repeated
     #[arg(long = "host", value_name = "NAME")]
     hosts: Vec<String>,
+    /// Path of the server on its host, such as /3d, if a proxy serves other applications beside it
+    #[arg(long, value_name = "PATH")]
+    base_path: Option<BasePath>,
     /// Whether requests need authentication; default: private beyond loopback and with --host, else open
     #[arg(long, value_enum, value_name = "WHO")]
     access: Option<Access>,
@@ -295,6 +299,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "the server has no authentication: every client may see and change every photo whose URL it knows; see --access private"
         );
     }
+    let base = args.base_path.unwrap_or_default();
     let reach = |is_private| if is_private { AddressPolicy::Any } else { AddressPolicy::Public };
     let config = Config {
         addr: args.addr,
@@ -304,6 +309,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         blobs: args.blobs,
         pages: args.pages,
         hosts: args.hosts.into_iter().chain(args.advertise.map(|address| address.host().to_owned())).collect(),
+        base_path: base.clone(),
         proxies: Proxies::new(&args.trusted_proxies).with_login(args.login_header),
         public_list: args.access == Some(Access::Public),
         private,
@@ -331,7 +337,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             tracing::info!("admin listener at http://{admin}");
         }
         // the reader of this line may have gone
-        let _ = writeln!(stdout, "{}://{}", server.scheme(), server.addr()).and_then(|()| stdout.flush());
+        let _ = writeln!(stdout, "{}://{}{base}", server.scheme(), server.addr()).and_then(|()| stdout.flush());
         let stop = async {
             stop_signal().await;
             // a second signal skips draining

@@ -23,6 +23,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
+use super::base_path::BasePath;
 use super::client_slots::{ClientSlot, ClientSlots};
 use super::http2_streams::{PIECE, StreamHealth, Streams, TrackedBody};
 use super::limits::Limits;
@@ -49,6 +50,8 @@ pub struct Endpoint {
     pub tls: Option<Tls>,
     /// Trusted proxies.
     pub proxies: Proxies,
+    /// Path of the server, which is removed from the addresses of requests.
+    pub base: BasePath,
 }
 
 /// How requests are read, by what was agreed on.
@@ -73,7 +76,7 @@ impl Http {
 
 /// Serves connections until `stop`, then gives open ones `limits.drain` to end.
 pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
-    let Endpoint { listener, tls, proxies } = endpoint;
+    let Endpoint { listener, tls, proxies, base } = endpoint;
     let http = Http::new(limits);
     let room = Arc::new(Semaphore::new(limits.connections));
     let shares = ClientSlots::per_address(limits.connections_per_address);
@@ -100,14 +103,14 @@ pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, tel
             continue;
         };
         let present = (telemetry.connection(), open.token());
-        let (http, router, limits, stop) = (http.clone(), router.clone(), Arc::clone(limits), stop.clone());
+        let (http, router, base, limits, stop) = (http.clone(), router.clone(), base.clone(), Arc::clone(limits), stop.clone());
         let acceptor = tls.as_ref().map(Tls::acceptor);
         tokio::spawn(async move {
             let limits_buffer = Arc::new(AtomicBool::new(false));
             let held = ConnectionGuard { limits_buffer: Arc::clone(&limits_buffer), all: Arc::new((permit, share, present)) };
             let stream =
                 MinimumRate::new(stream, limits.write, limits.write_rate, SmallBuffer { wanted: limits_buffer, keep: limit_send_buffer });
-            let connection = Connection { http, router, limits, from: Peer(peer), held, stop };
+            let connection = Connection { http, router, base, limits, from: Peer(peer), held, stop };
             let Some(acceptor) = acceptor else { return connection.one(stream, None).await };
             match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
                 Ok(Ok(stream)) if stream.get_ref().1.alpn_protocol() == Some(tls::HTTP_2) => connection.two(stream).await,
@@ -128,6 +131,7 @@ pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, tel
 struct Connection {
     http: Http,
     router: Router,
+    base: BasePath,
     limits: Arc<Limits>,
     from: Peer,
     held: ConnectionGuard,
@@ -138,8 +142,9 @@ impl Connection {
     /// Serves HTTP/1.1.
     async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>) {
         let inner = TowerToHyperService::new(self.router);
-        let (from, held) = (self.from, self.held);
+        let (from, held, base) = (self.from, self.held, self.base);
         let service = service_fn(move |mut request: Request<Incoming>| {
+            base.strip(request.uri_mut());
             request.extensions_mut().insert(from);
             request.extensions_mut().insert(held.clone());
             if let Some(secure) = secure {
@@ -164,8 +169,9 @@ impl Connection {
     async fn two<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S) {
         let streams = Streams::new();
         let inner = TowerToHyperService::new(self.router);
-        let (from, held, opened) = (self.from, self.held, Arc::clone(&streams));
+        let (from, held, opened, base) = (self.from, self.held, Arc::clone(&streams), self.base);
         let service = service_fn(move |mut request: Request<Incoming>| {
+            base.strip(request.uri_mut());
             let open = opened.open();
             request.extensions_mut().insert(from);
             request.extensions_mut().insert(held.clone());

@@ -13,6 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Config;
 use super::access::Guard;
+use super::base_path::BasePath;
 use super::blocking_pool::{BlockingPool, Slot, WorkClass};
 use super::cache::Cache;
 pub use super::cache::Version;
@@ -21,7 +22,7 @@ use super::client_slots::{ClientSlots, client_address};
 use super::depth_network_download::Download;
 use super::fetch_by_url::Sources;
 use super::finished_photo::FinishedPhoto;
-use super::hosts::Hosts;
+use super::hosts::{Hosts, origin};
 use super::limits::Limits;
 use super::maker::Maker;
 use super::memory_budget::MemoryBudget;
@@ -90,6 +91,8 @@ pub struct AppState {
     pub renderer: Arc<dyn Renderer>,
     /// Accepted `Host` names.
     pub hosts: Hosts,
+    /// Path at which a proxy serves the server.
+    pub base: BasePath,
     /// Trusted proxies.
     pub proxies: Proxies,
     /// Named options of views and photos.
@@ -125,10 +128,12 @@ pub struct AppState {
 impl AppState {
     /// State of a server that listens at `addr`.
     pub fn new(config: Config, addr: SocketAddr, library: Library, parts: AppParts) -> Self {
-        let Config { webhook_addresses, admin, data, pages, hosts, proxies, presets, public_list, private, limits, .. } = config;
+        let Config {
+            webhook_addresses, admin, data, pages, hosts, base_path: base, proxies, presets, public_list, private, limits, ..
+        } = config;
         let AppParts { maker, renderer, telemetry, openapi, sources } = parts;
         Self {
-            guard: private.then(|| Guard::new(library.clone())),
+            guard: private.then(|| Guard::new(library.clone(), base.clone())),
             library,
             memory: MemoryBudget::new(limits.job_memory),
             maker,
@@ -151,6 +156,7 @@ impl AppState {
             build: program_digest::of_server(renderer.name()),
             renderer,
             hosts: Hosts::new(addr, &hosts),
+            base,
             proxies,
             presets,
             public_list,
@@ -171,6 +177,11 @@ impl AppState {
     pub fn takes_options(&self, headers: &HeaderMap) -> bool {
         let is_admin = || if self.guard.is_some() { Guard::is_admin() } else { self.hosts.is_own(headers) };
         !self.presets.are_exclusive() || is_admin()
+    }
+
+    /// Absolute address of this server as the client of a request sees it, without a slash at its end; `None` without a valid `Host`.
+    pub fn address(&self, headers: &HeaderMap) -> Option<String> {
+        origin(headers).map(|origin| format!("{origin}{}", self.base))
     }
 
     /// Sets [`AppState::origin`] of a server that serves TLS at `port`.

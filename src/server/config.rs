@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use super::base_path::BasePath;
 use super::fetch_by_url::{SourceHost, Sources};
 use super::limits::Limits;
 use super::outbound::AddressPolicy;
@@ -41,6 +42,8 @@ pub struct Config {
     pub pages: Option<PathBuf>,
     /// Accepted `Host` names besides loopback and the server's address, without ports: those that proxies forward.
     pub hosts: Vec<String>,
+    /// Path at which a proxy serves it.
+    pub base_path: BasePath,
     /// Trusted proxies.
     pub proxies: Proxies,
     /// Lists all photos to every caller, not only to this machine's own user.
@@ -76,6 +79,7 @@ impl Config {
             blobs: None,
             pages: None,
             hosts: Vec::new(),
+            base_path: BasePath::default(),
             proxies: Proxies::default(),
             public_list: false,
             private: false,

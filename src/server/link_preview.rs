@@ -30,7 +30,7 @@ pub struct Picture {
 /// The card of a photo.
 #[derive(Debug)]
 pub struct PreviewCard {
-    /// `scheme://host` of the server, as in the request.
+    /// Address of the server, as in the request, without a slash at its end.
     base: String,
     id: String,
     title: String,

@@ -7,6 +7,7 @@
 mod accept_loop;
 mod access;
 mod app_state;
+mod base_path;
 mod blocking_pool;
 mod body_source;
 mod cache;
@@ -71,6 +72,7 @@ use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
 pub use accept_loop::ConnectionGuard;
+pub use base_path::BasePath;
 pub use child::{ProcessMaker, VARIABLE, disable_process_inspection, serve as run_child};
 pub(crate) use conditional::{ContentCoding, Entity, respond};
 pub use config::{Config, Role};
@@ -166,7 +168,7 @@ impl Server {
     /// [`ServerError`].
     pub async fn bind(config: Config, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Result<Self, ServerError> {
         let data = config.data.clone();
-        let openapi = openapi_of(&config.limits, config.admin.is_some())?;
+        let openapi = openapi_of(&config.limits, config.admin.is_some(), &config.base_path)?;
         let (listener, addr) = listen(config.addr).await?;
         let admin = match config.admin {
             Some(addr) => Some(listen(addr).await?).map(|(listener, addr)| (listener, addr, config.hosts.clone())),
@@ -272,10 +274,10 @@ impl Server {
         }
         let admin = admin.map(|(listener, addr, names)| {
             let (router, app, token) = (routes::admin_router(Arc::clone(&app), addr, &names), Arc::clone(&app), token.clone());
-            let endpoint = accept_loop::Endpoint { listener, tls: None, proxies: Proxies::default() };
+            let endpoint = accept_loop::Endpoint { listener, tls: None, proxies: Proxies::default(), base: BasePath::default() };
             tokio::spawn(async move { accept_loop::serve(endpoint, router, &app.limits, &app.telemetry, &token).await })
         });
-        let endpoint = accept_loop::Endpoint { listener, tls, proxies: app.proxies.clone() };
+        let endpoint = accept_loop::Endpoint { listener, tls, proxies: app.proxies.clone(), base: app.base.clone() };
         accept_loop::serve(endpoint, router, &app.limits, &app.telemetry, &token).await;
         if let Some(admin) = admin
             && let Err(error) = admin.await

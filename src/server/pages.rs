@@ -13,7 +13,6 @@ use sha2::{Digest, Sha256};
 use super::app_state::App;
 use super::compress;
 use super::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
-use super::hosts::origin;
 use super::link_preview::PreviewCard;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
@@ -46,7 +45,7 @@ pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<Strin
     let name = "app/view-page.html";
     let Ok(photo) = app.photo(&id).await else { return missing_page(&app, name, Frames::Own).await };
     let mut file = load(&app, name).await?;
-    let card = origin(&headers).map(|base| PreviewCard::of(&app, &photo, base));
+    let card = app.address(&headers).map(|base| PreviewCard::of(&app, &photo, base));
     if let Some(card) = card {
         let page = card.insert_tags(&String::from_utf8_lossy(&file.bytes));
         file = File { etag: etag_of(page.as_bytes()), bytes: page.into(), coding: ContentCoding::Gzip };
@@ -110,7 +109,17 @@ struct File {
     coding: ContentCoding,
 }
 
+/// A file; pages with the server's own path before their addresses, which all begin with `/`.
 async fn load(app: &App, name: &str) -> Result<File, Problem> {
+    let file = read(app, name).await?;
+    if app.base.is_empty() || !content_type(name).starts_with("text/html") {
+        return Ok(file);
+    }
+    let page = String::from_utf8_lossy(&file.bytes).replace("=\"/", &format!("=\"{}/", app.base));
+    Ok(File { etag: etag_of(page.as_bytes()), bytes: page.into(), coding: ContentCoding::Gzip })
+}
+
+async fn read(app: &App, name: &str) -> Result<File, Problem> {
     if let Some(dir) = &app.pages {
         let path = within(dir, name).ok_or_else(|| missing(name))?;
         let bytes = tokio::fs::read(path).await.map_err(|_| missing(name))?;

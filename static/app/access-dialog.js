@@ -4,7 +4,7 @@
 import { t } from '../i18n/messages.js';
 import { changeSettings, linksOf, ownerTicket, takeLinksBack } from './api.js';
 import { button, copied, showDialog } from './dialog.js';
-import { element } from './dom.js';
+import { at, element } from './dom.js';
 import { absolute, expiringLink, select, USUAL_SECONDS } from './expiring-link.js';
 
 /** @import { Shared } from './dialog.js' */
@@ -104,7 +104,7 @@ function otherBrowser(id) {
   said.setAttribute('role', 'status');
   const make = button(t('Make a link'), async () => {
     try {
-      link.text.value = absolute(`/view/${encodeURIComponent(id)}#owner=${await ownerTicket()}`);
+      link.text.value = absolute(at(`/view/${encodeURIComponent(id)}#owner=${await ownerTicket()}`));
       shown.hidden = false;
       said.textContent = t('Valid for 15 minutes.');
       // it may be below the visible part of the dialog

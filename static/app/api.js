@@ -3,6 +3,7 @@ import { problemText } from '../decode/problem.js';
 import { linkOf, withLink } from '../element/signed-link.js';
 import { formatBytes } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
+import { at } from './dom.js';
 
 /** @import { Settings } from '../view/settings.js' */
 /** @import { Stroke } from './stroke-region.js' */
@@ -62,14 +63,14 @@ async function request(url, options) {
 /** The link with which the page was opened: some browsers do not keep its cookie. */
 const LINK = linkOf(globalThis.location?.search);
 
-export const photoUrl = (/** @type {string} */ id, part = '') => withLink(`/v1/photos/${encodeURIComponent(id)}${part}`, LINK);
+export const photoUrl = (/** @type {string} */ id, part = '') => withLink(at(`/v1/photos/${encodeURIComponent(id)}${part}`), LINK);
 
 /**
  * One page of the list, newest first: `{photos, next}`; `next` is the address of the next page.
  * @param {string} [address]
  * @returns {Promise<{photos: Photo[], next?: string}>}
  */
-export async function listPhotos(address = '/v1/photos') {
+export async function listPhotos(address = at('/v1/photos')) {
   return (await request(address)).json();
 }
 
@@ -116,7 +117,7 @@ export async function linksOf(id, seconds) {
  * @returns {Promise<string>}
  */
 export async function ownerTicket() {
-  return (await (await request('/v1/owner/ticket', { method: 'POST' })).json()).ticket;
+  return (await (await request(at('/v1/owner/ticket'), { method: 'POST' })).json()).ticket;
 }
 
 /**
@@ -159,12 +160,12 @@ export async function changeStrokes(id, strokes, etag) {
 
 /** @returns {Promise<Network>} */
 export async function getNetwork() {
-  return (await request('/v1/network')).json();
+  return (await request(at('/v1/network'))).json();
 }
 
 /** @returns {Promise<Network>} */
 export async function fetchNetwork() {
-  return (await request('/v1/network', { method: 'POST' })).json();
+  return (await request(at('/v1/network'), { method: 'POST' })).json();
 }
 
 /**

@@ -1,6 +1,8 @@
 // Cards that move: the one under the pointer follows it; otherwise one moves without input – the first, or on touch screens the one in the
 // middle of the screen. At most one moves, with a small container, and none if the user prefers reduced motion or reduced data.
 
+import { at } from './dom.js';
+
 /** Longer side of a card's container, pixels. */
 const FIT = 480;
 /** How long a pointer rests on a card, or the page rests after a scroll, before the card moves, ms. */
@@ -84,7 +86,7 @@ async function move(card) {
   const link = card?.querySelector('a');
   const atlas = link?.dataset.atlas;
   if (!card || !link || !atlas || link.closest('.selecting')) return;
-  await import(new URL('/tmpi-viewer.js', location.href).href);
+  await import(new URL(at('/tmpi-viewer.js'), location.href).href);
   const address = new URL(atlas, location.href);
   address.searchParams.set('fit', String(FIT));
   const viewer = /** @type {Moving} */ (document.createElement('tmpi-viewer'));

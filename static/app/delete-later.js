@@ -2,7 +2,7 @@
 
 import { t } from '../i18n/messages.js';
 import { deletePhoto } from './api.js';
-import { element } from './dom.js';
+import { at, element } from './dom.js';
 
 /** Time to undo, counted from the last deletion. */
 const WAIT_MS = 8000;
@@ -94,10 +94,10 @@ addEventListener('pagehide', () => {
 export function handOver(id, name) {
   try {
     sessionStorage.setItem(HANDED_KEY, JSON.stringify({ id, name }));
-    location.assign('/');
+    location.assign(at('/'));
   } catch {
     // without storage there is no undo
-    deletePhoto(id).then(() => location.assign('/'));
+    deletePhoto(id).then(() => location.assign(at('/')));
   }
 }
 

@@ -2,7 +2,7 @@
 
 import { t, translatePage } from '../i18n/messages.js';
 import { listPhotos } from './api.js';
-import { $ } from './dom.js';
+import { $, at } from './dom.js';
 import { photoName } from './photo-name.js';
 
 const SHOWN = 3;
@@ -38,7 +38,7 @@ async function show() {
   $('demo-origin').textContent = otherOrigin();
   const src = location.origin + done[0].links.atlas;
   $('demo-code').textContent =
-    `<script type="module" src="${location.origin}/tmpi-viewer.js"></script>\n<tmpi-viewer src="${src}"\n  alt="${t('What it shows')}"></tmpi-viewer>`;
+    `<script type="module" src="${location.origin}${at('/tmpi-viewer.js')}"></script>\n<tmpi-viewer src="${src}"\n  alt="${t('What it shows')}"></tmpi-viewer>`;
 }
 
 translatePage();

@@ -1,4 +1,13 @@
-// Helpers for page elements.
+// Helpers for page elements and addresses.
+
+/** Path of the server on its host, '' without one: this module is at `/static/app/` below it. */
+const BASE = new URL('../..', import.meta.url).pathname.slice(0, -1);
+
+/**
+ * The address of a path that begins with `/`.
+ * @param {string} path
+ */
+export const at = (path) => BASE + path;
 
 /**
  * The page's element with an id; `kind` if a more specific class is needed. Throws if it is missing.
@@ -35,7 +44,7 @@ export function element(tag, className, ...content) {
 export function icon(name) {
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
   const use = document.createElementNS('http://www.w3.org/2000/svg', 'use');
-  use.setAttribute('href', `/static/app/icons.svg#${name}`);
+  use.setAttribute('href', at(`/static/app/icons.svg#${name}`));
   svg.setAttribute('aria-hidden', 'true');
   svg.append(use);
   return svg;

@@ -3,7 +3,7 @@
 import { t } from '../i18n/messages.js';
 import { changeSettings, photoUrl } from './api.js';
 import { button, copied, showDialog } from './dialog.js';
-import { element, isLoopback } from './dom.js';
+import { at, element, isLoopback } from './dom.js';
 import { snippets } from './snippets.js';
 
 /** @import { Shared } from './dialog.js' */
@@ -14,7 +14,7 @@ import { snippets } from './snippets.js';
  */
 export function open({ id, viewer, name, file, visibility, changed }) {
   const { width, height } = viewer.head ?? { width: 16, height: 10 };
-  const code = snippets({ origin: location.origin, id, name, width, height });
+  const code = snippets({ origin: location.origin + at(''), id, name, width, height });
   const page = element('a', 'button', t('Download'));
   page.href = photoUrl(id, '/export?format=html');
   page.download = `${file}.html`;

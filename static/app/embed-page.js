@@ -1,10 +1,10 @@
 // The photo alone, for frames on other sites: nothing in it changes anything on the server.
 import { linkOf, withLink } from '../element/signed-link.js';
-import { $ } from './dom.js';
+import { $, at } from './dom.js';
 
 const id = location.pathname.split('/').pop();
 const link = linkOf(location.search);
-const photo = (/** @type {string} */ part) => withLink(`/v1/photos/${id}/${part}`, link);
+const photo = (/** @type {string} */ part) => withLink(at(`/v1/photos/${id}/${part}`), link);
 const viewer = $('viewer');
 
 // attributes of the element, from the frame's address

@@ -4,7 +4,7 @@ import { formatBytes, sentence } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
 import { listPhotos, photoUrl } from './api.js';
 import { deleteLater, isGoing } from './delete-later.js';
-import { $, element, icon } from './dom.js';
+import { $, at, element, icon } from './dom.js';
 import { isUnderWay, reasonOf } from './follow-photo.js';
 import { photoName } from './photo-name.js';
 import { say } from './upload-row.js';
@@ -155,7 +155,7 @@ function card(photo) {
     image.replaceWith(element('span', 'thumb', t('No picture')));
     link.setAttribute('aria-label', `${t('Open {0}', name)} – ${t('No picture')}`);
   });
-  link.href = `/view/${encodeURIComponent(photo.id)}`;
+  link.href = at(`/view/${encodeURIComponent(photo.id)}`);
   link.setAttribute('aria-label', t('Open {0}', name));
   if (photo.links?.atlas) link.dataset.atlas = photo.links.atlas;
   const size = element('span', 'card-size', `${photo.width} × ${photo.height} · `);

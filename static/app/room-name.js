@@ -1,5 +1,7 @@
 // The room of a page, and the token in its address: behind the #, which browsers do not send.
 
+import { at } from './dom.js';
+
 /** Key of the token in the address. */
 const KEY = 'token';
 
@@ -8,7 +10,7 @@ const KEY = 'token';
 /** @returns {RoomOf} */
 export function roomOf() {
   const token = new URLSearchParams(location.hash.slice(1)).get(KEY) ?? '';
-  return roomNamed(decodeURIComponent(location.pathname.split('/')[2] ?? ''), token);
+  return roomNamed(decodeURIComponent(location.pathname.slice(at('/live/').length).split('/')[0]), token);
 }
 
 /**
@@ -18,7 +20,7 @@ export function roomOf() {
  * @returns {RoomOf}
  */
 export function roomNamed(name, token = '') {
-  return { name, address: new URL(`/v1/live/${encodeURIComponent(name)}`, location.href).href, token };
+  return { name, address: new URL(at(`/v1/live/${encodeURIComponent(name)}`), location.href).href, token };
 }
 
 const CONSONANTS = 'bdfgklmnprstvz';
@@ -37,7 +39,7 @@ export function freshName() {
  * Address of a room's publishing page.
  * @param {string} name
  */
-export const publishPage = (name) => `/live/${encodeURIComponent(name)}/publish`;
+export const publishPage = (name) => at(`/live/${encodeURIComponent(name)}/publish`);
 
 /**
  * Address of a room's page.
@@ -45,7 +47,7 @@ export const publishPage = (name) => `/live/${encodeURIComponent(name)}/publish`
  * @param {string | null} token
  */
 export function linkTo(name, token) {
-  const url = new URL(`/live/${encodeURIComponent(name)}`, location.href);
+  const url = new URL(at(`/live/${encodeURIComponent(name)}`), location.href);
   url.hash = token ? new URLSearchParams({ [KEY]: token }).toString() : '';
   return url.href;
 }

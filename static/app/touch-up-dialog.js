@@ -1,9 +1,9 @@
 // The controls of the touch-up dialog.
 
 import { t } from '../i18n/messages.js';
-import { element } from './dom.js';
+import { at, element } from './dom.js';
 
-const STYLE = '/static/app/touch-up.css';
+const STYLE = at('/static/app/touch-up.css');
 
 /** Resolves when the style sheet has loaded, so that the dialog never appears without it. */
 function style() {

@@ -5,7 +5,7 @@ import { deletePhoto } from './api.js';
 import { enliven } from './card-motion.js';
 import { deleteLater, handedOver } from './delete-later.js';
 import { pairs } from './depth-pairs.js';
-import { $ } from './dom.js';
+import { $, at } from './dom.js';
 import { filesOf } from './drop.js';
 import { isUnderWay } from './follow-photo.js';
 import { refreshSoon, remove, startGallery } from './gallery.js';
@@ -86,7 +86,7 @@ async function showSample() {
   const place = $('sample');
   if (!place.hidden) return;
   place.hidden = false;
-  await import(new URL('/tmpi-viewer.js', location.href).href);
+  await import(new URL(at('/tmpi-viewer.js'), location.href).href);
 }
 
 translatePage();

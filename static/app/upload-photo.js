@@ -1,6 +1,7 @@
 // Uploads a photo to the server.
 
 import { wordsOf } from './api.js';
+import { at } from './dom.js';
 
 /** @import { Photo } from './api.js' */
 
@@ -42,7 +43,7 @@ export function uploadPhoto(file, depth, options, onProgress) {
     xhr.onerror = () => reject(new Error('The server cannot be reached.'));
     xhr.onabort = () => reject(new DOMException('Cancelled.', 'AbortError'));
   });
-  xhr.open('POST', '/v1/photos');
+  xhr.open('POST', at('/v1/photos'));
   xhr.setRequestHeader('Accept', 'application/json');
   xhr.send(form);
   return { done, abort: () => xhr.abort() };

@@ -2,7 +2,7 @@
 
 import { sentence } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { $, element, icon } from './dom.js';
+import { $, at, element, icon } from './dom.js';
 
 /**
  * Announces a message to screen readers.
@@ -99,7 +99,7 @@ export class Row {
     this.bar.hidden = true;
     this.state.textContent = this.note ? `${t('Ready')}. ${this.note}` : t('Ready');
     const open = element('a', 'button primary', t('Open'));
-    open.href = `/view/${encodeURIComponent(id)}`;
+    open.href = at(`/view/${encodeURIComponent(id)}`);
     open.setAttribute('aria-label', t('Open {0}', this.name));
     this.actions.replaceChildren(open);
     say(t('{0} is ready.', this.name));

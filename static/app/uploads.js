@@ -3,7 +3,7 @@
 import { queueText, stageText } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
 import { prepared } from './convert.js';
-import { $, element } from './dom.js';
+import { $, at, element } from './dom.js';
 import { followPhoto } from './follow-photo.js';
 import { mayAsk, notify } from './installed.js';
 import { uploadPhoto } from './upload-photo.js';
@@ -242,8 +242,8 @@ function allOf() {
  */
 function tell(name, id) {
   const all = allOf();
-  if (all > 1) notify(t('{0} of {1} ready', ready, all), '/');
-  else notify(t('{0} is ready.', name), `/view/${encodeURIComponent(id)}`);
+  if (all > 1) notify(t('{0} of {1} ready', ready, all), at('/'));
+  else notify(t('{0} is ready.', name), at(`/view/${encodeURIComponent(id)}`));
 }
 
 /**

@@ -45,6 +45,11 @@ export class Backends {
     return this.left.length > 0;
   }
 
+  /** The context of the last backend was given back to another viewer: that attempt did not fail. */
+  givenBack() {
+    this.left[0].attempts++;
+  }
+
   /**
    * Creates the best backend left, with a new canvas, because a canvas cannot change its context; `wait` if other viewers use all contexts.
    * @param {Scene} scene

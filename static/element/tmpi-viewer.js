@@ -221,9 +221,9 @@ class TmpiViewer extends HTMLElement {
   /** Address to show, and whether it is a room; null without one. */
   get #named() {
     const [src, room] = [this.getAttribute('src'), this.getAttribute('room')];
-    const url = src || room ? parsed(src ?? '/') : null;
+    const url = src || room ? parsed(src || '/') : null;
     if (!url) return null;
-    if (room) url.pathname = `/live/${encodeURIComponent(room)}`;
+    if (room) url.pathname = `${url.pathname.replace(/\/$/, '')}/live/${encodeURIComponent(room)}`;
     return { room: ROOM.test(url.pathname), address: url.href };
   }
 

@@ -188,6 +188,7 @@ export class Viewer extends ViewerState {
   /** Gives its graphics context to another viewer and shows the photo meanwhile. */
   #giveBack() {
     this.#waitsForContext = true;
+    this.#backends?.givenBack();
     this.#detail?.dispose();
     this.#detail = null;
     this.renderer?.dispose();

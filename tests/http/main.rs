@@ -5,6 +5,7 @@ mod access;
 mod access_changes;
 mod access_matrix;
 mod admin;
+mod base_path;
 mod better;
 mod client;
 mod damage;

@@ -141,6 +141,8 @@ impl Client {
     /// [`Error::Address`] if the URL is invalid or belongs to another server.
     pub fn address(&self, path: &str) -> Result<Url, Error> {
         let wrong = |why: String| Error::Address { address: path.to_owned(), why };
+        // a server that knows its path answers with it
+        let path = path.strip_prefix(self.base.path()).unwrap_or(path);
         let url = self.base.join(path.trim_start_matches('/')).map_err(|e| wrong(e.to_string()))?;
         // never send the key to another server
         if url.origin() == self.base.origin() { Ok(url) } else { Err(wrong("it belongs to another server".into())) }
@@ -173,7 +175,9 @@ mod tests {
     #[test]
     fn addresses_of_other_servers_are_refused() {
         let client = Client::new("https://photos.example/sub").unwrap();
-        assert_eq!(client.address("/v1/photos").unwrap().as_str(), "https://photos.example/sub/v1/photos");
+        for path in ["/v1/photos", "/sub/v1/photos"] {
+            assert_eq!(client.address(path).unwrap().as_str(), "https://photos.example/sub/v1/photos", "{path}");
+        }
         for other in ["https://evil.example/v1/photos", "http://photos.example/"] {
             assert!(client.address(other).is_err(), "{other}");
         }

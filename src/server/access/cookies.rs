@@ -12,6 +12,8 @@ pub type Cookie = [&'static str; 2];
 /// Cookie with an owner's secret or session. Over TLS it has a `__Host-` name, which no other host of the same domain can set (RFC
 /// 6265bis, section 4.1.3.2).
 pub const OWNER: Cookie = ["tmpi_owner", "__Host-tmpi_owner"];
+/// The same for a server below a path, which `__Host-` does not allow.
+pub const OWNER_BELOW: Cookie = ["tmpi_owner", "__Secure-tmpi_owner"];
 /// Cookie with a photo's own token, scoped to that photo's path. Over TLS it has a `__Secure-` name, which only a host with TLS can set.
 pub const MANAGE: Cookie = ["tmpi_manage", "__Secure-tmpi_manage"];
 /// Cookie with the link that opened a photo.

@@ -20,6 +20,7 @@ use axum::response::{IntoResponse, Response};
 use tmpi_library::{Grant, KEY_PREFIX, Key, Library, Link, Millis, Owner, Photo, PhotoId, Scope, Subject};
 
 use super::accept_loop::Peer;
+use super::base_path::BasePath;
 use super::client_slots::client_address;
 use super::cross_site::check_origin;
 use super::hosts::Hosts;
@@ -28,7 +29,7 @@ use super::proxies::Proxies;
 use super::rate_limit::{RateHeaders, RateKey, RateLimiter};
 use super::viewer_settings::{Settings, Visibility};
 use callers::{Caller, bearer, new_secret, owner_of_secret};
-use cookies::{KEPT, LINK, MANAGE, OWNER, cookie, keep_private, set_cookie};
+use cookies::{Cookie, KEPT, LINK, MANAGE, OWNER, OWNER_BELOW, cookie, keep_private, set_cookie};
 use link_query::UrlLink;
 pub(super) use link_query::{link_of_url, query_of, take_link};
 use photo_token::{link_of, token_of};
@@ -73,12 +74,13 @@ pub fn admission() -> Option<Arc<Admission>> {
 /// Decides who may do what.
 pub struct Guard {
     library: Library,
+    base: BasePath,
 }
 
 impl Guard {
-    /// Checks callers against the keys and grants of `library`.
-    pub const fn new(library: Library) -> Self {
-        Self { library }
+    /// Checks callers against the keys and grants of `library`; cookies are for addresses at or below `base`.
+    pub const fn new(library: Library, base: BasePath) -> Self {
+        Self { library, base }
     }
 
     /// Checks a request's rights and rate, and removes the link's parameters from its URL.
@@ -115,7 +117,7 @@ impl Guard {
                 _ => return response,
             };
             match secret {
-                Ok(secret) => set_owner(&mut response, &headers, &secret),
+                Ok(secret) => self.set_owner(&mut response, &headers, &secret),
                 Err(problem) => return problem.into_response(),
             }
         }
@@ -124,7 +126,7 @@ impl Guard {
             && let Some((id, link)) = opened(&path).zip(come.link.as_ref())
         {
             let age = link.link.expires.saturating_sub(seconds(come.at));
-            set_cookie(&mut response, &headers, LINK, &query_of(link), &format!("/v1/photos/{id}"), age);
+            set_cookie(&mut response, &headers, LINK, &query_of(link), &self.base.at(&format!("/v1/photos/{id}")), age);
         }
         response
     }
@@ -218,7 +220,7 @@ impl Guard {
 
     /// The caller by its owner cookie.
     async fn of_cookie(&self, headers: &HeaderMap) -> Result<Caller, Problem> {
-        let Some(kept) = cookie(headers, OWNER) else { return Ok(Caller::Anonymous) };
+        let Some(kept) = cookie(headers, self.owner_cookie()) else { return Ok(Caller::Anonymous) };
         Ok(self.owner_of(kept).await?.map_or(Caller::Anonymous, |owner| Caller::Owner(owner, kept.to_owned())))
     }
 
@@ -330,7 +332,24 @@ impl Guard {
     /// The photo's page with its token after the `#`; anyone with this link can see and change the photo.
     pub fn manage_link(&self, photo: &Photo) -> String {
         let link = self.library.secret().sign(Grant::Edit, Subject::Photo(photo), u64::MAX);
-        format!("/view/{}#manage={}", photo.id, token_of(&link))
+        self.base.at(&format!("/view/{}#manage={}", photo.id, token_of(&link)))
+    }
+
+    /// The owner's cookie.
+    const fn owner_cookie(&self) -> Cookie {
+        if self.base.is_empty() { OWNER } else { OWNER_BELOW }
+    }
+
+    /// Sets the cookie with an owner's secret or session.
+    pub fn set_owner(&self, response: &mut Response, asked: &HeaderMap, secret: &str) {
+        set_cookie(response, asked, self.owner_cookie(), secret, self.base.root(), KEPT);
+    }
+
+    /// Sets the cookie with the token that the caller sent, if any, for the addresses of its photo.
+    pub fn set_manage(&self, response: &mut Response, asked: &HeaderMap, photo: PhotoId) {
+        if let Some(token) = admission().as_deref().and_then(|come| come.token.as_ref()) {
+            set_cookie(response, asked, MANAGE, &token_of(token), &self.base.at(&format!("/v1/photos/{photo}")), KEPT);
+        }
     }
 }
 
@@ -354,18 +373,6 @@ pub fn link() -> Option<String> {
 pub fn drop_link(request: &mut Request) {
     if let Some((uri, _)) = take_link(request.uri()) {
         *request.uri_mut() = uri;
-    }
-}
-
-/// Sets the cookie with an owner's secret or session.
-pub fn set_owner(response: &mut Response, asked: &HeaderMap, secret: &str) {
-    set_cookie(response, asked, OWNER, secret, "/", KEPT);
-}
-
-/// Sets the cookie with the token that the caller sent, if any, for the addresses of its photo.
-pub fn set_manage(response: &mut Response, asked: &HeaderMap, photo: PhotoId) {
-    if let Some(token) = admission().as_deref().and_then(|come| come.token.as_ref()) {
-        set_cookie(response, asked, MANAGE, &token_of(token), &format!("/v1/photos/{photo}"), KEPT);
     }
 }
 

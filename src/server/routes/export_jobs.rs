@@ -91,7 +91,7 @@ pub struct ExportState {
 impl ExportState {
     fn of(app: &AppState, job: &Job) -> Self {
         let key = job.key().unwrap_or_default().to_owned();
-        let photo = format!("/v1/photos/{}", job.photo);
+        let photo = app.base.at(&format!("/v1/photos/{}", job.photo));
         let this = format!("{photo}/exports/{key}");
         let stays = app.limits.exports.keep.as_millis() as i64;
         Self {

@@ -38,6 +38,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::app_state::App;
+use super::base_path::BasePath;
 use super::limits::Limits;
 use super::middleware;
 pub(super) use admin_listener::router as admin_router;
@@ -166,19 +167,20 @@ fn rooms_cors() -> CorsLayer {
 /// # Errors
 /// If it cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
-    openapi_of(&Limits::default(), false)
+    openapi_of(&Limits::default(), false, &BasePath::default())
 }
 
-/// The `OpenAPI` document of a server with these limits; with an admin listener, only that one's document describes metrics.
+/// The `OpenAPI` document of a server with these limits at this path; with an admin listener, only that one's document describes metrics.
 ///
 /// # Errors
 /// As [`openapi`].
-pub fn openapi_of(limits: &Limits, has_admin: bool) -> serde_json::Result<Bytes> {
+pub fn openapi_of(limits: &Limits, has_admin: bool, base: &BasePath) -> serde_json::Result<Bytes> {
     let own = if has_admin { pages_api() } else { own_api() };
     let mut document = own.merge(open_api()).into_openapi();
     document.merge(live::routes::watching_api().into_openapi());
     document.merge(live::routes::publishing_api().into_openapi());
     let mut document = serde_json::to_value(document)?;
+    document["servers"][0]["url"] = base.root().into();
     openapi_values::add_values(&mut document);
     openapi_shared::add_shared(&mut document);
     openapi_values::add_link_limit(&mut document, limits.link.as_secs());

@@ -7,7 +7,6 @@ use serde::Serialize;
 
 use super::query::Pairs;
 use crate::server::app_state::App;
-use crate::server::hosts;
 use crate::server::link_preview::PreviewCard;
 use crate::server::problem::Problem;
 
@@ -78,7 +77,7 @@ pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEm
     let url = pairs.get("url").ok_or_else(|| Problem::parameter("url", "is missing"))?;
     let id = photo_of(&app, url).ok_or_else(|| Problem::not_found("the URL is not a photo page of this server").field("url"))?;
     let photo = app.photo(&id).await?;
-    let base = hosts::origin(request.headers()).ok_or_else(|| Problem::bad_request("the Host header is not a host"))?;
+    let base = app.address(request.headers()).ok_or_else(|| Problem::bad_request("the Host header is not a host"))?;
     let card = PreviewCard::of(&app, &photo, base.clone());
     let (html, width, height) = card.frame(most);
     let picture = card.picture(most);
@@ -101,7 +100,8 @@ pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEm
 
 /// Id of the photo whose page is at `url`, if its host is this server.
 fn photo_of(app: &App, url: &str) -> Option<String> {
-    let url: Uri = url.parse().ok()?;
+    let mut url: Uri = url.parse().ok()?;
+    app.base.strip(&mut url);
     let ours = matches!(url.scheme_str(), Some("http" | "https")) && app.hosts.allows(url.authority()?.host());
     let id = url.path().strip_prefix("/view/").or_else(|| url.path().strip_prefix("/embed/"))?;
     ours.then(|| id.trim_end_matches('/').to_owned())

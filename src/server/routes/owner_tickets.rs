@@ -68,7 +68,7 @@ pub async fn adopt_owner(State(app): State<App>, uri: Uri, headers: HeaderMap, _
             let detail = "the browser has another owner's secret, which would be lost; replace=true overwrites it";
             return Err(Problem::new(StatusCode::CONFLICT, "another-owner", detail).field("replace"));
         }
-        access::set_owner(&mut response, &headers, &kept);
+        guard.set_owner(&mut response, &headers, &kept);
     }
     Ok(response)
 }

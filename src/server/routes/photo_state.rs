@@ -164,7 +164,7 @@ impl PhotoState {
     fn of_row(app: &AppState, photo: &Photo) -> Self {
         let (settings, done) = (Settings::of(photo), FinishedPhoto::of(photo));
         let poster = settings.poster_query(&photo_options::view_box_of(&photo.options)).map(|query| format!("/view?{query}"));
-        let at = |part: &str| format!("/v1/photos/{}{part}", photo.id);
+        let at = |part: &str| app.base.at(&format!("/v1/photos/{}{part}", photo.id));
         let version = done.as_ref().map(|done| app.version(done));
         // content at such an address never changes, so browsers need not revalidate
         let fixed = |part: &str| match &version {
@@ -204,8 +204,8 @@ impl PhotoState {
                 thumbnail: fixed("/thumbnail"),
                 poster: fixed(poster.as_deref().unwrap_or("/thumbnail")),
                 export: at("/export"),
-                page: format!("/view/{}", photo.id),
-                embed: format!("/embed/{}", photo.id),
+                page: app.base.at(&format!("/view/{}", photo.id)),
+                embed: app.base.at(&format!("/embed/{}", photo.id)),
                 manage: None,
             },
         }

@@ -169,7 +169,7 @@ pub(super) async fn answer(
     let ready = wait.is_some() && photo.state.is_final();
     if ready && photo.state != Phase::Done {
         let mut response = Problem::of_photo(&photo).into_response();
-        insert(&mut response, LOCATION, &format!("/v1/photos/{}", photo.id));
+        insert(&mut response, LOCATION, &app.base.at(&format!("/v1/photos/{}", photo.id)));
         return Ok(response);
     }
     let mut state = PhotoState::of(app, &photo).await?;
@@ -257,7 +257,7 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
         Some(owner) => app.library.list(owner.as_ref(), after, limit).await?,
         None => app.library.list(None, after, limit).await?,
     };
-    let next = page.next.map(|next| format!("/v1/photos?limit={limit}&after={next}"));
+    let next = page.next.map(|next| app.base.at(&format!("/v1/photos?limit={limit}&after={next}")));
     let mut photos = Vec::with_capacity(page.photos.len());
     for photo in &page.photos {
         photos.push(PhotoState::of(&app, photo).await?);

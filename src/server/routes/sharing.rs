@@ -36,7 +36,7 @@ pub struct PhotoLink {
     manage: Option<String>,
     /// Route that issues tickets for other browsers; missing if the caller has no owner's secret.
     #[serde(skip_serializing_if = "Option::is_none")]
-    ticket: Option<&'static str>,
+    ticket: Option<String>,
 }
 
 /// Share a photo.
@@ -64,7 +64,7 @@ pub async fn links(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri
     let now = app.library.now().await?.max(0) as u64 / 1000;
     let expires = app.guard.as_ref().map(|_| now + seconds);
     let query = app.guard.as_ref().zip(expires).map(|(guard, expires)| guard.query(&photo, expires));
-    let address = |path: String| query.as_ref().map_or(path.clone(), |query| format!("{path}?{query}"));
+    let address = |path: String| app.base.at(&path) + &query.as_ref().map(|query| format!("?{query}")).unwrap_or_default();
     let manage = app.guard.as_ref().map(|guard| guard.manage_link(&photo));
     Ok(Json(PhotoLink {
         page: address(format!("/view/{}", photo.id)),
@@ -72,7 +72,7 @@ pub async fn links(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri
         query,
         expires,
         manage,
-        ticket: app.guard.as_ref().and_then(|_| access::owner_by_secret()).map(|_| TICKET),
+        ticket: app.guard.as_ref().and_then(|_| access::owner_by_secret()).map(|_| app.base.at(TICKET)),
     }))
 }
 
@@ -88,9 +88,17 @@ pub async fn links(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri
         (status = 404, description = "There is no such photo, or the token is not its own, or is revoked"),
     )
 )]
-pub async fn keep_token(_: NoQuery, PathPhoto(photo): PathPhoto, headers: HeaderMap, _: EmptyBody) -> Result<Response, Problem> {
+pub async fn keep_token(
+    State(app): State<App>,
+    _: NoQuery,
+    PathPhoto(photo): PathPhoto,
+    headers: HeaderMap,
+    _: EmptyBody,
+) -> Result<Response, Problem> {
     let mut response = StatusCode::NO_CONTENT.into_response();
-    access::set_manage(&mut response, &headers, photo.id);
+    if let Some(guard) = &app.guard {
+        guard.set_manage(&mut response, &headers, photo.id);
+    }
     Ok(response)
 }
 

@@ -128,7 +128,7 @@ impl DeliveryRecord {
     pub fn of(app: &AppState, delivery: Delivery) -> Self {
         Self {
             event: delivery.event.name(),
-            data: data(&delivery, app.origin.get().map(String::as_str)),
+            data: data(&delivery, &app.base, app.origin.get().map(String::as_str)),
             state: delivery.state.name(),
             attempts: delivery.attempts,
             status: delivery.status,

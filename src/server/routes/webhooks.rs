@@ -130,7 +130,7 @@ pub async fn add(State(app): State<App>, _: NoQuery, headers: HeaderMap, request
     let secret = Some(webhook.secret.clone());
     let mut state = WebhookState::from(webhook);
     state.secret = secret;
-    let location = format!("/v1/webhooks/{}", state.id);
+    let location = app.base.at(&format!("/v1/webhooks/{}", state.id));
     let mut response = (StatusCode::CREATED, Json(state)).into_response();
     insert(&mut response, LOCATION, &location);
     insert(&mut response, CACHE_CONTROL, "private, no-store");
@@ -268,7 +268,7 @@ pub async fn deliveries(State(app): State<App>, Path(id): Path<String>, uri: Uri
     let limit = pairs.number("limit", &(1..=MAX_PAGE))?.unwrap_or(USUAL_PAGE);
     let page = app.library.deliveries(&id, pairs.get("after"), limit).await?;
     Ok(own(DeliveryList {
-        next: page.next.map(|next| format!("/v1/webhooks/{id}/deliveries?limit={limit}&after={next}")),
+        next: page.next.map(|next| app.base.at(&format!("/v1/webhooks/{id}/deliveries?limit={limit}&after={next}"))),
         deliveries: page.deliveries.into_iter().map(|delivery| DeliveryRecord::of(&app, delivery)).collect(),
     }))
 }

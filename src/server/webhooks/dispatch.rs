@@ -39,9 +39,9 @@ impl Clients {
     }
 
     /// Makes an attempt.
-    async fn send(&self, due: &DueDelivery, seconds: u64, origin: Option<&str>) -> Attempt {
+    async fn send(&self, due: &DueDelivery, seconds: u64, app: &App) -> Attempt {
         let begun = Instant::now();
-        let sent = tokio::time::timeout(PATIENCE, self.post(due, seconds, origin)).await;
+        let sent = tokio::time::timeout(PATIENCE, self.post(due, seconds, app)).await;
         let sent = sent.unwrap_or_else(|_| Err(format!("no answer in {} s", PATIENCE.as_secs())));
         let took = begun.elapsed();
         match sent {
@@ -54,12 +54,12 @@ impl Clients {
         }
     }
 
-    async fn post(&self, due: &DueDelivery, seconds: u64, origin: Option<&str>) -> Result<Response, String> {
+    async fn post(&self, due: &DueDelivery, seconds: u64, app: &App) -> Result<Response, String> {
         let (delivery, webhook) = (&due.delivery, &due.webhook);
         let outbound = if webhook.configured { &self.configured } else { &self.named };
         let url = outbound::url(&webhook.url, outbound.reach()).map_err(|error| format!("the address {error}"))?;
         let secret = SigningSecret::parse(&webhook.secret).map_err(|error| format!("the secret {error}"))?;
-        let body = body(delivery, origin);
+        let body = body(delivery, &app.base, app.origin.get().map(String::as_str));
         let request = outbound
             .client()
             .map_err(cause)?
@@ -151,7 +151,7 @@ async fn attempt(app: App, clients: Arc<Clients>, due: DueDelivery) {
     let (delivery, webhook) = (due.delivery.id.as_str(), due.webhook.id.as_str());
     let attempted = async {
         let seconds = app.library.now().await?.max(0) as u64 / 1000;
-        let attempt = clients.send(&due, seconds, app.origin.get().map(String::as_str)).await;
+        let attempt = clients.send(&due, seconds, &app).await;
         let state = app.library.record_attempt(&due, &attempt).await?;
         let outcome = if state == DeliveryState::Pending { "retried" } else { state.name() };
         app.telemetry.delivery(outcome);

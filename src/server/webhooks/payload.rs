@@ -3,23 +3,24 @@
 use serde_json::{Value, json};
 use tmpi_library::{Delivery, EventData, EventType, ExportData, PhotoId};
 
+use crate::server::base_path::BasePath;
 use crate::server::exports::Recipe;
 use crate::server::problem::Problem;
 use crate::server::timestamps::rfc3339;
 
-/// The body of a delivery: type, time and data. `origin` is `https://HOST` of this server, if it knows that; paths then become addresses,
-/// too.
-pub fn body(delivery: &Delivery, origin: Option<&str>) -> String {
-    json!({ "type": delivery.event.name(), "timestamp": rfc3339(delivery.created_at), "data": data(delivery, origin) }).to_string()
+/// The body of a delivery: type, time and data, with paths below `base`. `origin` is `https://HOST` of this server, if it knows that;
+/// paths then become addresses, too.
+pub fn body(delivery: &Delivery, base: &BasePath, origin: Option<&str>) -> String {
+    json!({ "type": delivery.event.name(), "timestamp": rfc3339(delivery.created_at), "data": data(delivery, base, origin) }).to_string()
 }
 
 /// The data of a delivery.
-pub fn data(delivery: &Delivery, origin: Option<&str>) -> Value {
+pub fn data(delivery: &Delivery, base: &BasePath, origin: Option<&str>) -> Value {
     let EventData { photo, title, export, problem, room } = &delivery.data;
     let mut data = match (photo, export, room) {
-        (Some(photo), Some(export), _) => of_export(*photo, export, delivery.event),
-        (Some(photo), None, _) => of_photo(*photo, delivery.event),
-        (None, _, Some(room)) => json!({ "room": room, "path": format!("/live/{room}") }),
+        (Some(photo), Some(export), _) => of_export(*photo, export, delivery.event, base),
+        (Some(photo), None, _) => of_photo(*photo, delivery.event, base),
+        (None, _, Some(room)) => json!({ "room": room, "path": base.at(&format!("/live/{room}")) }),
         (None, _, None) => json!({}),
     };
     if let Some(title) = title {
@@ -38,19 +39,19 @@ pub fn data(delivery: &Delivery, origin: Option<&str>) -> Value {
     data
 }
 
-fn of_photo(photo: PhotoId, event: EventType) -> Value {
-    let path = format!("/v1/photos/{photo}");
+fn of_photo(photo: PhotoId, event: EventType, base: &BasePath) -> Value {
+    let path = base.at(&format!("/v1/photos/{photo}"));
     match event {
         EventType::PhotoDeleted => json!({ "id": photo, "state": "deleted" }),
         EventType::PhotoFailed => json!({ "id": photo, "state": "failed", "path": path }),
-        _ => json!({ "id": photo, "state": "done", "path": path, "page": format!("/view/{photo}") }),
+        _ => json!({ "id": photo, "state": "done", "path": path, "page": base.at(&format!("/view/{photo}")) }),
     }
 }
 
-fn of_export(photo: PhotoId, export: &ExportData, event: EventType) -> Value {
+fn of_export(photo: PhotoId, export: &ExportData, event: EventType, base: &BasePath) -> Value {
     let ExportData { key, payload, .. } = export;
     let (_, ending) = payload.as_str().and_then(Recipe::kind).unwrap_or_default();
-    let path = format!("/v1/photos/{photo}/exports/{key}");
+    let path = base.at(&format!("/v1/photos/{photo}/exports/{key}"));
     let mut data = json!({ "photo": photo, "key": key, "format": ending, "state": "failed", "path": path });
     if event == EventType::ExportDone {
         data["state"] = "done".into();
@@ -81,7 +82,7 @@ mod tests {
             took_ms: None,
             ended_at: None,
         };
-        serde_json::from_str(&body(&delivery, Some("https://photos.example"))).unwrap()
+        serde_json::from_str(&body(&delivery, &BasePath::default(), Some("https://photos.example"))).unwrap()
     }
 
     #[test]
