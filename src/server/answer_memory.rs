@@ -1,0 +1,105 @@
+//! Memory that answers hold while their clients read them. A client on HTTP/2 may request many files and read none.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use bytes::Bytes;
+
+/// Pieces of files that are being sent, on all connections together: 16 MiB, besides two of [`LEAST`] for each request.
+pub static PIECES: AnswerMemory = AnswerMemory::new(16 << 20);
+
+/// Bytes that a piece may always have, so that clients that do not read keep nobody else waiting.
+const LEAST: usize = 4 << 10;
+
+/// A bound of memory, and how much of it is held.
+#[derive(Debug)]
+pub struct AnswerMemory {
+    most: usize,
+    held: AtomicUsize,
+}
+
+/// Memory of a piece, until it is dropped.
+#[derive(Debug)]
+pub struct Share {
+    of: &'static AnswerMemory,
+    /// How many bytes.
+    pub bytes: usize,
+}
+
+/// A piece with its share.
+struct Piece {
+    bytes: Bytes,
+    #[expect(dead_code, reason = "held until it is dropped")]
+    share: Share,
+}
+
+impl AsRef<[u8]> for Piece {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+impl AnswerMemory {
+    /// All answers may hold `most` bytes together.
+    pub const fn new(most: usize) -> Self {
+        Self { most, held: AtomicUsize::new(0) }
+    }
+
+    /// Bytes that are held.
+    pub fn held(&self) -> usize {
+        self.held.load(Ordering::Relaxed)
+    }
+
+    /// Memory for a piece of up to `wanted` bytes; fewer if little is left.
+    pub fn take(&'static self, wanted: usize) -> Share {
+        let mut bytes = wanted;
+        loop {
+            let share = Share::new(self, bytes);
+            if bytes <= LEAST || self.held() <= self.most {
+                return share;
+            }
+            bytes = (bytes / 2).max(LEAST);
+        }
+    }
+}
+
+impl Share {
+    fn new(of: &'static AnswerMemory, bytes: usize) -> Self {
+        of.held.fetch_add(bytes, Ordering::Relaxed);
+        Self { of, bytes }
+    }
+
+    /// The same bytes, which hold the share until all their clones are dropped.
+    pub fn attach(self, bytes: Bytes) -> Bytes {
+        Bytes::from_owner(Piece { bytes, share: self })
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        self.of.held.fetch_sub(self.bytes, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pieces_get_smaller_when_little_memory_is_left_and_give_it_back() {
+        static MEMORY: AnswerMemory = AnswerMemory::new(100 << 10);
+        let first = MEMORY.take(64 << 10);
+        let second = MEMORY.take(64 << 10);
+        assert_eq!((first.bytes, second.bytes), (64 << 10, 32 << 10));
+        let least: Vec<Share> = (0..9).map(|_| MEMORY.take(1 << 20)).collect();
+        assert!(least.iter().all(|share| share.bytes == LEAST));
+        assert_eq!(MEMORY.take(9).bytes, 9);
+        assert_eq!(MEMORY.held(), (96 << 10) + 9 * LEAST);
+        let mut sent = first.attach(Bytes::from(vec![7; 64 << 10]));
+        let rest = sent.split_off(9);
+        drop(sent);
+        assert_eq!((rest.len(), MEMORY.held()), ((64 << 10) - 9, (96 << 10) + 9 * LEAST), "a part holds the whole");
+        drop((rest, second, least));
+        assert_eq!(MEMORY.held(), 0);
+        assert_eq!(MEMORY.take(64 << 10).bytes, 64 << 10);
+    }
+}
