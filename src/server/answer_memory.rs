@@ -7,13 +7,17 @@ use bytes::Bytes;
 /// Pieces of files that are being sent, on all connections together: 16 MiB, besides two of [`LEAST`] for each request.
 pub static PIECES: AnswerMemory = AnswerMemory::new(16 << 20);
 
+/// Views, levels and small exports in memory: those of caches, and those that clients still read after they left the caches. More are kept in
+/// files.
+pub static DERIVED: AnswerMemory = AnswerMemory::new(0);
+
 /// Bytes that a piece may always have, so that clients that do not read keep nobody else waiting.
 const LEAST: usize = 4 << 10;
 
 /// A bound of memory, and how much of it is held.
 #[derive(Debug)]
 pub struct AnswerMemory {
-    most: usize,
+    most: AtomicUsize,
     held: AtomicUsize,
 }
 
@@ -41,7 +45,16 @@ impl AsRef<[u8]> for Piece {
 impl AnswerMemory {
     /// All answers may hold `most` bytes together.
     pub const fn new(most: usize) -> Self {
-        Self { most, held: AtomicUsize::new(0) }
+        Self { most: AtomicUsize::new(most), held: AtomicUsize::new(0) }
+    }
+
+    /// Raises the bound to `most` bytes.
+    pub fn allow(&self, most: usize) {
+        self.most.fetch_max(most, Ordering::Relaxed);
+    }
+
+    fn is_within(&self) -> bool {
+        self.held() <= self.most.load(Ordering::Relaxed)
     }
 
     /// Bytes that are held.
@@ -54,11 +67,17 @@ impl AnswerMemory {
         let mut bytes = wanted;
         loop {
             let share = Share::new(self, bytes);
-            if bytes <= LEAST || self.held() <= self.most {
+            if bytes <= LEAST || self.is_within() {
                 return share;
             }
             bytes = (bytes / 2).max(LEAST);
         }
+    }
+
+    /// The same bytes with their share; `None` if too little is left.
+    pub fn hold(&'static self, bytes: &Bytes) -> Option<Bytes> {
+        let share = Share::new(self, bytes.len());
+        self.is_within().then(|| share.attach(bytes.clone()))
     }
 }
 
@@ -101,5 +120,17 @@ mod tests {
         drop((rest, second, least));
         assert_eq!(MEMORY.held(), 0);
         assert_eq!(MEMORY.take(64 << 10).bytes, 64 << 10);
+    }
+
+    #[test]
+    fn whole_answers_are_held_as_long_as_they_fit() {
+        static MEMORY: AnswerMemory = AnswerMemory::new(10);
+        let six = Bytes::from_static(b"123456");
+        let held = MEMORY.hold(&six).unwrap();
+        assert_eq!((&held, MEMORY.hold(&six), MEMORY.held()), (&six, None, 6));
+        MEMORY.allow(12);
+        assert!(MEMORY.hold(&six).is_some());
+        drop(held);
+        assert_eq!(MEMORY.held(), 0);
     }
 }

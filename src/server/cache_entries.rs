@@ -5,8 +5,10 @@ use std::io::{self, Read as _, Write as _};
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
+use super::answer_memory::DERIVED;
 use super::body_source::Source;
 use super::cache::Weight;
 use super::problem::Problem;
@@ -76,7 +78,8 @@ impl StoredFile {
     }
 
     /// Derived bytes, tagged by their digest and, if `made` is given, by it: then [`super::conditional::known_etag`] recognizes them before
-    /// they are made again. Large ones go into an unnamed file, so that slow readers hold no memory; the last reader frees it. Blocks.
+    /// they are made again. Large ones, and those beyond [`DERIVED`], go into an unnamed file, so that slow readers hold no memory; the last
+    /// reader frees it. Blocks.
     ///
     /// # Errors
     /// 507 if the disk has no space beyond the reserve and they may not stay in memory, 500.
@@ -86,14 +89,24 @@ impl StoredFile {
             None => Self::new(bytes),
         };
         let source = match source {
-            Source::Memory(bytes) if bytes.len() > LARGE => match disk.keep(&bytes) {
-                Ok(file) => Source::File(Arc::new(file), bytes.len()),
-                Err(LibraryError::StorageFull) if full == DiskFullPolicy::Memory => Source::Memory(bytes),
-                Err(error) => return Err(error.into()),
-            },
+            Source::Memory(bytes) => kept(bytes, disk, full)?,
             source => source,
         };
         Ok(Self { source, etag })
+    }
+}
+
+/// Keeps derived bytes in memory, or else on disk.
+fn kept(bytes: Bytes, disk: &TempFolder, full: DiskFullPolicy) -> Result<Source, Problem> {
+    if bytes.len() <= LARGE
+        && let Some(held) = DERIVED.hold(&bytes)
+    {
+        return Ok(held.into());
+    }
+    match disk.keep(&bytes) {
+        Ok(file) => Ok(Source::File(Arc::new(file), bytes.len())),
+        Err(LibraryError::StorageFull) if full == DiskFullPolicy::Memory => Ok(bytes.into()),
+        Err(error) => Err(error.into()),
     }
 }
 
