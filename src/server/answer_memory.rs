@@ -4,7 +4,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use bytes::Bytes;
 
-/// Pieces of files that are being sent, on all connections together: 16 MiB, besides two of [`LEAST`] for each request.
+/// Pieces of files that are being sent, on all connections together: 16 MiB. Beyond it, a request of HTTP/2 holds two pieces of [`LEAST`], and
+/// a connection of HTTP/1, whose transport queues more of them, 16.
 pub static PIECES: AnswerMemory = AnswerMemory::new(16 << 20);
 
 /// Views, levels and small exports in memory: those of caches, and those that clients still read after they left the caches. More are kept in
