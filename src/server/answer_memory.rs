@@ -8,9 +8,9 @@ use bytes::Bytes;
 /// a connection of HTTP/1, whose transport queues more of them, 16.
 pub static PIECES: AnswerMemory = AnswerMemory::new(16 << 20);
 
-/// Views, levels and small exports in memory: those of caches, and those that clients still read after they left the caches. More are kept in
-/// files.
-pub static DERIVED: AnswerMemory = AnswerMemory::new(0);
+/// Whole files in memory: those of caches, and those that clients still read after they have left the caches. Further ones are read from disk
+/// while they are sent.
+pub static WHOLE: AnswerMemory = AnswerMemory::new(0);
 
 /// Bytes that a piece may always have, so that clients that do not read keep nobody else waiting.
 const LEAST: usize = 4 << 10;

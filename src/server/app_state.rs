@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Config;
 use super::access::Guard;
-use super::answer_memory::DERIVED;
+use super::answer_memory::WHOLE;
 use super::blocking_pool::{BlockingPool, Slot, WorkClass};
 use super::cache::Cache;
 pub use super::cache::Version;
@@ -47,7 +47,7 @@ pub type App = Arc<AppState>;
 /// Time after which a fault of the server counts as over; failed jobs are retried at least every minute.
 const TROUBLE: Duration = Duration::from_mins(2);
 
-/// Bytes of views and levels that clients may read after they have left the caches.
+/// Bytes of small files and views that clients may read after they have left the caches.
 const UNREAD: usize = 64 << 20;
 
 /// State of the server.
@@ -131,7 +131,7 @@ impl AppState {
     pub fn new(config: Config, addr: SocketAddr, library: Library, parts: AppParts) -> Self {
         let Config { webhook_addresses, admin, data, pages, hosts, proxies, presets, public_list, private, limits, .. } = config;
         let AppParts { maker, renderer, telemetry, openapi, sources } = parts;
-        DERIVED.allow(limits.cache.views + limits.cache.files / 4 + UNREAD);
+        WHOLE.allow(limits.cache.files / 4 * 5 + limits.cache.views + UNREAD);
         Self {
             guard: private.then(|| Guard::new(library.clone())),
             library,

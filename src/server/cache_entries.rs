@@ -8,7 +8,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
-use super::answer_memory::DERIVED;
+use super::answer_memory::WHOLE;
 use super::body_source::Source;
 use super::cache::Weight;
 use super::problem::Problem;
@@ -61,7 +61,10 @@ impl StoredFile {
     pub async fn of_blob(blobs: &BlobStore, part: Part, blob: &Blob) -> Result<Self, LibraryError> {
         let etag = format!("\"{}\"", blob.digest.as_str().get(..32).unwrap_or_default()).into();
         if blob.bytes <= SMALL {
-            return Ok(Self { source: Source::Memory(blobs.read(part, blob).await?), etag });
+            let bytes = blobs.read(part, blob).await?;
+            if let Some(held) = WHOLE.hold(&bytes) {
+                return Ok(Self { source: held.into(), etag });
+            }
         }
         let Some(path) = blobs.path(blob) else {
             return Ok(Self { source: Source::Object(blobs.clone(), Arc::new(blob.clone())), etag });
@@ -78,7 +81,7 @@ impl StoredFile {
     }
 
     /// Derived bytes, tagged by their digest and, if `made` is given, by it: then [`super::conditional::known_etag`] recognizes them before
-    /// they are made again. Large ones, and those beyond [`DERIVED`], go into an unnamed file, so that slow readers hold no memory; the last
+    /// they are made again. Large ones, and those beyond [`WHOLE`], go into an unnamed file, so that slow readers hold no memory; the last
     /// reader frees it. Blocks.
     ///
     /// # Errors
@@ -99,7 +102,7 @@ impl StoredFile {
 /// Keeps derived bytes in memory, or else on disk.
 fn kept(bytes: Bytes, disk: &TempFolder, full: DiskFullPolicy) -> Result<Source, Problem> {
     if bytes.len() <= LARGE
-        && let Some(held) = DERIVED.hold(&bytes)
+        && let Some(held) = WHOLE.hold(&bytes)
     {
         return Ok(held.into());
     }
