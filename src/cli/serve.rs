@@ -335,6 +335,11 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         let mut stdout = std::io::stdout();
         if let Some(admin) = server.admin_addr() {
             tracing::info!("admin listener at http://{admin}");
+            if !admin.ip().is_loopback() {
+                tracing::warn!(
+                    "the admin listener has no authentication: every client that reaches it may delete photos and stop the server"
+                );
+            }
         }
         // the reader of this line may have gone
         let _ = writeln!(stdout, "{}://{}{base}", server.scheme(), server.addr()).and_then(|()| stdout.flush());

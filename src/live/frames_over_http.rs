@@ -1,4 +1,4 @@
-//! The newest frame and groups of pictures by plain HTTP. An edge forwards these requests to the room's origin.
+//! The newest frame and groups of pictures by plain HTTP. An edge asks the room's origin for them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,10 +16,12 @@ use tokio_util::sync::CancellationToken;
 
 use super::Grant;
 use super::gop_store::{Group, GroupPart};
+use super::origin_client::Nodes;
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::Room;
 use crate::server::{ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
+use tmpi_library::Origin;
 
 /// How long a request waits for the next group.
 const NEXT_GROUP: Duration = Duration::from_secs(5);
@@ -29,21 +31,27 @@ const EPOCH: &str = "x-tmpi-epoch";
 /// Media type of a room's messages, each preceded by its length in four bytes, little endian.
 const MESSAGES: &str = "application/vnd.tmpi.live";
 
-/// The room if this node has its frames, or the answer of its origin to the same request. Requests of other nodes are not forwarded.
-async fn find(
-    here: &RoomsContext,
-    name: &str,
-    path: &str,
-    access: RoomAccess,
-    headers: &HeaderMap,
-) -> Result<Result<Arc<Room>, Response>, Problem> {
+/// Where the frames of a room are.
+enum Place {
+    /// At this node.
+    Here(Arc<Room>),
+    /// At its origin.
+    There(Arc<Nodes>, Origin),
+}
+
+/// Finds the frames of a room. Requests of other nodes are not forwarded.
+async fn find(here: &RoomsContext, name: &str, access: RoomAccess) -> Result<Place, Problem> {
     if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
-        return Ok(Ok(room));
+        return Ok(Place::Here(room));
     }
     let elsewhere = if access == RoomAccess::Node { None } else { here.rooms.remote_origin(name).await? };
-    let (nodes, origin) = elsewhere.ok_or_else(none_publishes)?;
+    elsewhere.map(|(nodes, origin)| Place::There(nodes, origin)).ok_or_else(none_publishes)
+}
+
+/// The origin's answer to the same request.
+async fn forward(nodes: &Nodes, origin: &Origin, name: &str, path: &str, headers: &HeaderMap) -> Result<Response, Problem> {
     let known = headers.get(header::IF_NONE_MATCH).map(|value| (header::IF_NONE_MATCH, value.clone()));
-    nodes.fetch(&origin, name, path, known.into_iter().collect()).await.map(handed_on).map(Err)
+    nodes.fetch(origin, name, path, known.into_iter().collect()).await.map(handed_on)
 }
 
 /// Headers of an origin's answer that are passed on.
@@ -85,9 +93,9 @@ fn handed_on(answer: Response) -> Response {
 )]
 pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let access = here.check(&name, Grant::Watch, &uri, &headers).await?;
-    let room = match find(&here, &name, "/frames/latest/atlas", access, &headers).await? {
-        Ok(room) => room,
-        Err(answer) => return Ok(answer),
+    let room = match find(&here, &name, access).await? {
+        Place::Here(room) => room,
+        Place::There(nodes, origin) => return forward(&nodes, &origin, &name, "/frames/latest/atlas", &headers).await,
     };
     let (epoch, frame) = room.newest_frame().ok_or_else(|| Problem::not_found("no frame is ready yet"))?;
     let (number, container) = (frame.tiles.frame, frame.container().await?);
@@ -132,9 +140,12 @@ pub async fn group(
     let access = here.check(&name, Grant::Watch, &uri, &headers).await?;
     let none = || Problem::not_found("the server does not have this group of pictures");
     if group == "latest" {
-        let place = match find(&here, &name, "/gops/latest", access, &headers).await? {
-            Ok(room) => room.last_group().map(|group| group.to_string()),
-            Err(answer) => answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned),
+        let place = match find(&here, &name, access).await? {
+            Place::Here(room) => room.last_group().map(|group| group.to_string()),
+            Place::There(nodes, origin) => {
+                let answer = forward(&nodes, &origin, &name, "/gops/latest", &headers).await?;
+                answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned)
+            }
         };
         let place = place.ok_or_else(|| Problem::not_found("the room has no group of pictures yet"))?;
         let location = format!("{place}{}", uri.query().map_or(String::new(), |query| format!("?{query}")));
@@ -143,17 +154,17 @@ pub async fn group(
     let group: Group = group.parse().map_err(|()| none())?;
     // shared caches may only store responses whose URL has the token
     let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
-    let cache_control = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable"))];
-    let room = match find(&here, &name, &format!("/gops/{group}"), access, &headers).await? {
-        Ok(room) => room,
-        Err(answer) => return Ok((cache_control, answer).into_response()),
+    let told = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable")), (header::CONTENT_TYPE, MESSAGES.to_owned())];
+    let room = match find(&here, &name, access).await? {
+        Place::Here(room) => room,
+        Place::There(nodes, origin) => return nodes.group(origin, name, group).await.map(|body| (told, body).into_response()),
     };
     let mut pieces = Pieces::new(room, group);
     // a client that has read the last group may request the next one before it begins
     let first = timeout(NEXT_GROUP, pieces.next()).await.map_err(|_| none().retry_after(1))?;
     let Some(first) = first else { return Err(none().retry_after(1)) };
     let messages = stream::once(async { Ok(first) }).chain(rest(pieces, held, here.stop));
-    Ok((cache_control, [(header::CONTENT_TYPE, MESSAGES)], Body::from_stream(messages)).into_response())
+    Ok((told, Body::from_stream(messages)).into_response())
 }
 
 /// The further messages of a group, as they come; holds the connection until the end.

@@ -23,7 +23,7 @@ const KEPT_BYTES: usize = 8 << 20;
 const LEAST: Duration = Duration::from_secs(1);
 
 /// Address of a group.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Group {
     pub epoch: u64,
     pub number: u64,

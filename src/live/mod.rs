@@ -20,6 +20,7 @@
 //! | `tile_store` | the tiles of a room as encoded chunks |
 //! | `origin_lease` | which node has a room, and this node's lease of it |
 //! | `origin_client` | requests to the node that has a room |
+//! | `group_relay` | groups of pictures of a room that another node has |
 //! | `edge` | a room that another node has |
 //! | `frame_threads` | the threads that decode frames and make geometry |
 
@@ -27,6 +28,7 @@ mod edge;
 mod frame_threads;
 mod frames_over_http;
 mod gop_store;
+mod group_relay;
 mod origin_client;
 mod origin_lease;
 mod publisher;
@@ -50,7 +52,8 @@ use serde::{Deserialize, Serialize};
 use tmpi_pipeline::Models;
 
 use axum::extract::ws::{Message, WebSocket};
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode};
+use futures_util::future::BoxFuture;
 pub use origin_client::NodeAddress;
 pub(crate) use request_access::RoomsContext;
 pub use signed_token::room_token;
@@ -63,6 +66,7 @@ use origin_client::Nodes;
 use origin_lease::Lease;
 use request_access::{busy, none_publishes};
 use room::Room;
+use signed_token::token_in_headers;
 use tmpi_library::{Library, LibraryError, Origin};
 use tokio_util::sync::CancellationToken;
 
@@ -244,6 +248,14 @@ impl Rooms {
         let Some(nodes) = self.nodes.get() else { return Ok(None) };
         let origin = nodes.origin(name).await.map_err(|error| unreachable(&error))?;
         Ok(origin.map(|origin| (Arc::clone(nodes), origin)))
+    }
+
+    /// Whether another node asks, at this path of a room, for viewers that it counts itself; `None` if no node does.
+    pub(crate) fn asked_by_node(&self, path: &str, headers: &HeaderMap) -> Option<BoxFuture<'static, bool>> {
+        let nodes = Arc::clone(self.nodes.get()?);
+        let room = path.strip_prefix("/v1/live/")?.split('/').next()?.to_owned();
+        let token = token_in_headers(headers)?.to_owned();
+        Some(Box::pin(async move { nodes.admits(&room, &token).await }))
     }
 
     /// Tells the library that a room begins or ends, unless its lease does.

@@ -13,6 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Config;
 use super::access::Guard;
+use super::answer_memory::WHOLE;
 use super::base_path::BasePath;
 use super::blocking_pool::{BlockingPool, Slot, WorkClass};
 use super::cache::Cache;
@@ -46,6 +47,9 @@ pub type App = Arc<AppState>;
 
 /// Time after which a fault of the server counts as over; failed jobs are retried at least every minute.
 const TROUBLE: Duration = Duration::from_mins(2);
+
+/// Bytes of small files and views that clients may read after they have left the caches.
+const UNREAD: usize = 64 << 20;
 
 /// State of the server.
 pub struct AppState {
@@ -132,6 +136,7 @@ impl AppState {
             webhook_addresses, admin, data, pages, hosts, base_path: base, proxies, presets, public_list, private, limits, ..
         } = config;
         let AppParts { maker, renderer, telemetry, openapi, sources } = parts;
+        WHOLE.allow(limits.cache.files / 4 * 5 + limits.cache.views + UNREAD);
         Self {
             guard: private.then(|| Guard::new(library.clone(), base.clone())),
             library,

@@ -10,6 +10,8 @@ use bytes::Bytes;
 use futures_util::stream;
 use tmpi_library::{Blob, BlobStore};
 
+use super::answer_memory::{AnswerMemory, PIECES};
+
 /// Bytes to read first. Each piece is twice as large as the one before, so that a client holds memory only in proportion to what it has read.
 const FIRST_PIECE: usize = 64 << 10;
 
@@ -58,6 +60,11 @@ impl Source {
 
     /// A body that sends `range` of it.
     pub fn body(self, range: Range<usize>) -> Body {
+        self.body_within(range, &PIECES)
+    }
+
+    /// The same, with the pieces of a file within `memory`.
+    fn body_within(self, range: Range<usize>, memory: &'static AnswerMemory) -> Body {
         let most = match &self {
             Self::Memory(bytes) => return Body::from(bytes.slice(range)),
             Self::File(..) => PIECE,
@@ -67,9 +74,10 @@ impl Source {
             if left.is_empty() {
                 return Ok::<_, io::Error>(None);
             }
-            let end = left.end.min(left.start + length);
+            let share = memory.take(length.min(left.len()));
+            let end = left.start + share.bytes;
             let piece = source.read(left.start..end).await?;
-            Ok(Some((piece, (source, end..left.end, most.min(2 * length)))))
+            Ok(Some((share.attach(piece), (source, end..left.end, most.min(2 * length)))))
         });
         Body::from_stream(pieces)
     }
@@ -112,6 +120,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_file_is_sent_in_pieces_and_a_shorter_one_is_an_error() {
+        static NONE: AnswerMemory = AnswerMemory::new(0);
         let bytes: Vec<u8> = (0..PIECE * 3 + 77).map(|i| (i * 7) as u8).collect();
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(&bytes).unwrap();
@@ -134,5 +143,11 @@ mod tests {
         }
         assert_eq!(send(bytes.len(), 5..5).await.unwrap().len(), 0);
         assert!(send(bytes.len() + 1, 0..bytes.len() + 1).await.is_err());
+        // others hold all memory
+        let mut body = Source::File(Arc::clone(&file), bytes.len()).body_within(0..bytes.len(), &NONE);
+        let first = body.frame().await.unwrap().unwrap().into_data().unwrap();
+        assert_eq!((first.len(), NONE.held()), (4 << 10, 4 << 10));
+        assert_eq!([first, body.collect().await.unwrap().to_bytes()].concat(), bytes);
+        assert_eq!(NONE.held(), 0);
     }
 }

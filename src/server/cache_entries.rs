@@ -5,8 +5,10 @@ use std::io::{self, Read as _, Write as _};
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
+use super::answer_memory::WHOLE;
 use super::body_source::Source;
 use super::cache::Weight;
 use super::problem::Problem;
@@ -59,7 +61,10 @@ impl StoredFile {
     pub async fn of_blob(blobs: &BlobStore, part: Part, blob: &Blob) -> Result<Self, LibraryError> {
         let etag = format!("\"{}\"", blob.digest.as_str().get(..32).unwrap_or_default()).into();
         if blob.bytes <= SMALL {
-            return Ok(Self { source: Source::Memory(blobs.read(part, blob).await?), etag });
+            let bytes = blobs.read(part, blob).await?;
+            if let Some(held) = WHOLE.hold(&bytes) {
+                return Ok(Self { source: held.into(), etag });
+            }
         }
         let Some(path) = blobs.path(blob) else {
             return Ok(Self { source: Source::Object(blobs.clone(), Arc::new(blob.clone())), etag });
@@ -76,7 +81,8 @@ impl StoredFile {
     }
 
     /// Derived bytes, tagged by their digest and, if `made` is given, by it: then [`super::conditional::known_etag`] recognizes them before
-    /// they are made again. Large ones go into an unnamed file, so that slow readers hold no memory; the last reader frees it. Blocks.
+    /// they are made again. Large ones, and those beyond [`WHOLE`], go into an unnamed file, so that slow readers hold no memory; the last
+    /// reader frees it. Blocks.
     ///
     /// # Errors
     /// 507 if the disk has no space beyond the reserve and they may not stay in memory, 500.
@@ -86,14 +92,24 @@ impl StoredFile {
             None => Self::new(bytes),
         };
         let source = match source {
-            Source::Memory(bytes) if bytes.len() > LARGE => match disk.keep(&bytes) {
-                Ok(file) => Source::File(Arc::new(file), bytes.len()),
-                Err(LibraryError::StorageFull) if full == DiskFullPolicy::Memory => Source::Memory(bytes),
-                Err(error) => return Err(error.into()),
-            },
+            Source::Memory(bytes) => kept(bytes, disk, full)?,
             source => source,
         };
         Ok(Self { source, etag })
+    }
+}
+
+/// Keeps derived bytes in memory, or else on disk.
+fn kept(bytes: Bytes, disk: &TempFolder, full: DiskFullPolicy) -> Result<Source, Problem> {
+    if bytes.len() <= LARGE
+        && let Some(held) = WHOLE.hold(&bytes)
+    {
+        return Ok(held.into());
+    }
+    match disk.keep(&bytes) {
+        Ok(file) => Ok(Source::File(Arc::new(file), bytes.len())),
+        Err(LibraryError::StorageFull) if full == DiskFullPolicy::Memory => Ok(bytes.into()),
+        Err(error) => Err(error.into()),
     }
 }
 

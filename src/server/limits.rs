@@ -368,7 +368,7 @@ impl Default for Limits {
             changes: 8,
             uploads_beyond: 4,
             attempts: 3,
-            streams_at_once: 64,
+            streams_at_once: 32,
             keep_alive: Duration::from_secs(15),
             retain_sweep: Duration::from_hours(1),
             verify_first: Duration::from_mins(1),

@@ -72,7 +72,14 @@ async fn wrap(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Re
     let route = matched.as_ref().map_or("none", MatchedPath::as_str);
     let peer = request.extensions().get::<Peer>().map(|p| p.0);
     let peer = peer.map(|peer| checks.proxies.map_or(peer, |proxies| proxies.client(peer, request.headers())));
-    let client = peer.filter(|ip| !ip.to_canonical().is_loopback());
+    let mut client = peer.filter(|ip| !ip.to_canonical().is_loopback());
+    let asked_by_node = app.rooms.get().and_then(|rooms| rooms.asked_by_node(request.uri().path(), request.headers()));
+    // another node asks for many viewers, whose requests it has counted
+    if let Some(is_node) = asked_by_node
+        && is_node.await
+    {
+        client = None;
+    }
     let trace = app.telemetry.traces().map_or_else(Context::new, |to| to.request(known_method(&method), route, request.headers(), peer));
     let span = span(&id, peer, &method, request.uri().path());
     if let Some(id) = traces::trace_id(&trace) {

@@ -6,6 +6,7 @@
 
 mod accept_loop;
 mod access;
+mod answer_memory;
 mod app_state;
 mod base_path;
 mod blocking_pool;

@@ -246,3 +246,33 @@ fn viewers_at_an_edge_are_told_at_once_that_the_publisher_left() {
     // so does a viewer that connects later
     assert_eq!(Client::watch(b.addr, "mill").farewell().cause(), Cause::Left);
 }
+
+#[test]
+fn viewers_of_a_group_at_an_edge_share_one_request_to_the_origin() {
+    let Some(shared) = Shared::start() else { return };
+    let (a, b) = (node(&shared, "node-16", &[]), node(&shared, "node-17", &[]));
+    let mut publisher = Publisher::new(a.addr, "porch");
+    publisher.publish(frame(10));
+    let mut newest = None;
+    wait_until("a group begins", || {
+        newest = a.room("porch", "/gops/latest").header("location").map(str::to_owned);
+        newest.is_some()
+    });
+    let group = format!("/gops/{}", newest.unwrap());
+    let mut viewers: Vec<Connection> = (0..6).map(|_| Connection::open(b.addr)).collect();
+    for viewer in &mut viewers {
+        viewer.send("GET", &format!("/v1/live/porch{group}"), &[], &[]);
+    }
+    for viewer in &mut viewers {
+        assert_eq!(viewer.head().unwrap().status, 200);
+    }
+    publisher.publish(frame(20));
+    // which ends the group
+    drop(publisher);
+    let bodies: Vec<Vec<u8>> = viewers.iter_mut().map(|viewer| std::iter::from_fn(|| viewer.chunk()).flatten().collect()).collect();
+    let late = b.room("porch", &group);
+    let asked = figure(a.addr, r#"tmpi_requests_total{method="GET",route="/v1/live/{room}/gops/{group}",status="200"}"#);
+    assert_eq!((late.status, asked), (200, 1));
+    let at_origin = a.room("porch", &group).body;
+    assert!(late.body == at_origin && bodies.iter().all(|body| *body == at_origin));
+}

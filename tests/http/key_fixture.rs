@@ -1,9 +1,9 @@
-//! Adds, lists and removes keys beside a running server, as `tmpi key` does.
+//! Adds, lists and removes keys beside a running server, as `tmpi key` does, and signs as its other nodes do.
 
 use std::path::Path;
 
 pub use tmpi_library::Scope;
-use tmpi_library::{Config, Key, Library, LibraryError};
+use tmpi_library::{Config, Grant, Key, Library, LibraryError, Subject};
 
 fn with<T>(data: &Path, work: impl AsyncFnOnce(&Library) -> Result<T, LibraryError>) -> T {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -28,4 +28,12 @@ pub fn read(data: &Path) -> Vec<Key> {
 /// Removes keys; returns how many.
 pub fn remove(data: &Path, name: &str, id: Option<&str>) -> u64 {
     with(data, async |library| library.remove_keys(name, id).await)
+}
+
+/// Credential of another node for a room, valid for so many seconds; as the value of `Authorization`.
+pub fn of_node(data: &Path, room: &str, seconds: i64) -> String {
+    with(data, async |library| {
+        let expires = library.now().await? / 1000 + seconds;
+        Ok(format!("Bearer {}", library.secret().sign(Grant::Relay, Subject::Room(room), expires as u64)))
+    })
 }

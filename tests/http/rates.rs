@@ -1,7 +1,8 @@
 //! Rate limits per key and per address.
 
-use tmpi::server::Rates;
+use tmpi::server::{Network, Proxies, Rates, Server};
 
+use crate::fixture::rooms;
 use crate::key_fixture;
 use crate::prelude::*;
 
@@ -37,4 +38,26 @@ fn a_key_over_its_rate_gets_429_and_other_keys_do_not() {
     let see = |part: &str| ask(&server, "GET", &format!("/v1/photos/{id}{part}"), &[("authorization", &site)], &[]).status;
     assert_eq!([see("/view?w=8"), see("/view?w=9"), see("/export?format=glb"), see("/view?w=8")], [200, 200, 200, 429]);
     assert_eq!((see(""), see("/thumbnail")), (200, 200));
+}
+
+#[test]
+fn other_nodes_are_not_counted_but_whoever_has_another_credential_is() {
+    let rates = Rates { requests: 2, uploads: 0, views: 0 };
+    let server = Running::owning(|data| {
+        let proxies = Proxies::new(&["127.0.0.1".parse::<Network>().unwrap()]);
+        let config = Config { proxies, limits: Limits { rates, ..Limits::default() }, ..usual(data) };
+        let shared = |server: Server| server.with_rooms(rooms().shared("http://127.0.0.1:9".parse().unwrap()));
+        Running::launch(config, Arc::new(pipeline()), drawn_by_cpu(), shared)
+    });
+    let sign = |room: &str, seconds| key_fixture::of_node(server.data(), room, seconds);
+    let statuses = |from: &str, path: &str, credential: &str| {
+        let headers = [("x-forwarded-for", from), ("authorization", credential)];
+        [(); 4].map(|()| request(server.addr, "GET", path, &headers, &[]).status)
+    };
+    let (room, node) = ("/v1/live/attic", sign("attic", 3600));
+    assert_eq!(statuses("192.0.2.1", room, &node), [200; 4]);
+    assert_eq!(statuses("192.0.2.2", "/openapi.json", &node), [200, 200, 429, 429], "it counts for its room only");
+    for (from, wrong) in [("192.0.2.3", sign("cellar", 3600)), ("192.0.2.4", sign("attic", -1)), ("192.0.2.5", format!("{node}0"))] {
+        assert_eq!(statuses(from, room, &wrong), [403, 403, 429, 429], "{wrong}");
+    }
 }

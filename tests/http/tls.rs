@@ -23,8 +23,12 @@ fn example(name: &str) -> PathBuf {
 
 /// A server with the example certificate and a finished photo; returns the photo's id and container, too.
 fn start(limits: Limits) -> (Running, String, Vec<u8>) {
+    start_with(&jpeg(1), limits)
+}
+
+fn start_with(photo: &[u8], limits: Limits) -> (Running, String, Vec<u8>) {
     let plain = Running::open();
-    let id = plain.make(&jpeg(1));
+    let id = plain.make(photo);
     let atlas = get(plain.addr, &format!("/v1/photos/{id}/atlas")).body;
     (over_tls(plain, limits), id, atlas)
 }
@@ -79,6 +83,13 @@ async fn fetch(sender: &SendRequest<Bytes>, request: Request<()>) -> (u16, Vec<u
     let (answer, _) = sender.send_request(request, true).unwrap();
     let (head, body) = whole(answer).await.unwrap();
     (head.status().as_u16(), body)
+}
+
+/// A value of the server's metrics.
+async fn metric(sender: &SendRequest<Bytes>, name: &str) -> u64 {
+    let (_, text) = fetch(sender, asks("GET", "/metrics", "localhost")).await;
+    let text = String::from_utf8(text).unwrap();
+    text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse::<f64>().ok()).unwrap() as u64
 }
 
 #[test]
@@ -270,11 +281,52 @@ fn stalled_silent_and_plain_text_connections_are_closed() {
     });
     wait_until("no connection is left", || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        let (_, metrics) = runtime.block_on(async {
+        let connections = runtime.block_on(async {
             let sender = second(server.addr, &mut h2::client::Builder::new()).await;
-            fetch(&sender, asks("GET", "/metrics", "localhost")).await
+            metric(&sender, "tmpi_connections").await
         });
-        let metrics = String::from_utf8(metrics).unwrap();
-        metrics.lines().any(|line| line == "tmpi_connections 1")
+        connections == 1
+    });
+}
+
+#[test]
+fn unread_answers_share_a_bound_of_memory_and_others_are_served_meanwhile() {
+    const HELD: &str = "tmpi_answer_memory_bytes";
+    const CONNECTIONS: usize = 12;
+    const STREAMS: usize = 32;
+    // all pieces together, and two of the least size for each request; that of a first piece would be 24 MiB
+    const BOUND: u64 = (16 << 20) + (CONNECTIONS * STREAMS * 2 * (4 << 10)) as u64;
+    let (server, id, atlas) = start_with(&noise(), Limits::default());
+    assert!(atlas.len() > 256 << 10, "a file that is read in pieces: {} bytes", atlas.len());
+    let path = format!("/v1/photos/{id}/atlas");
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let reader = second(server.addr, &mut h2::client::Builder::new()).await;
+        let mut unread = Vec::new();
+        for _ in 0..CONNECTIONS {
+            // this client takes no byte of a body
+            let sender = second(server.addr, h2::client::Builder::new().initial_window_size(0)).await;
+            for _ in 0..STREAMS {
+                let (answer, _) = sender.clone().ready().await.unwrap().send_request(asks("GET", &path, "localhost"), true).unwrap();
+                unread.push(answer);
+            }
+        }
+        let unread: Vec<_> = futures_util::future::join_all(unread).await.into_iter().map(Result::unwrap).collect();
+        assert!(unread.iter().all(|answer| answer.status() == 200));
+        let end = Instant::now() + Duration::from_mins(1);
+        while metric(&reader, HELD).await < 15 << 20 {
+            assert!(Instant::now() < end, "a minute is over before the unread answers hold their memory");
+        }
+        for _ in 0..10 {
+            let (status, body) = fetch(&reader, asks("GET", &path, "localhost")).await;
+            assert!(status == 200 && body == atlas);
+            let held = metric(&reader, HELD).await;
+            assert!(held <= BOUND, "{held} bytes");
+        }
+        drop(unread);
+        let end = Instant::now() + Duration::from_mins(1);
+        while metric(&reader, HELD).await > 1 << 20 {
+            assert!(Instant::now() < end, "a minute is over before the memory of clients that have gone is free");
+        }
     });
 }

@@ -71,7 +71,7 @@ pub use source_validators::Source;
 pub use statistics::Statistics;
 pub use webhooks::{Disabled, EventType, MAX_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
 
-use database::Database;
+use database::{Database, Lock};
 use leases::OwnLeases;
 
 /// Milliseconds since 1970 by the database's clock. Never compare it with a node's clock.
@@ -263,23 +263,32 @@ impl Library {
     }
 }
 
-/// Refuses a blob store of another library: `gc` would delete its blobs as orphans.
+/// Refuses a blob store of another library, whose blobs `gc` would delete as orphans, and a second store of this one. Nodes and libraries
+/// may start at the same time.
 async fn pair(database: &Database, blobs: &BlobStore) -> Result<()> {
     let id = link_signatures::stored_secret(database, "library").await?;
-    match blobs.library().await? {
-        Some(of) if of == id => Ok(()),
-        Some(_) => {
-            Err(LibraryError::Invalid("the blob store belongs to another library: give each library its own bucket or prefix".into()))
-        }
+    let mut tx = database.write().await?;
+    // one node at a time: two that find the database without a store might each bring one
+    tx.lock(Lock::Secret).await?;
+    let insert = sqlx::query("INSERT INTO secrets (name, value) VALUES ('paired', $1) ON CONFLICT (name) DO NOTHING");
+    let is_new = insert.bind(id.as_str()).execute(tx.connection()).await?.rows_affected() > 0;
+    let photos = sqlx::query("SELECT id FROM photos LIMIT 1").fetch_optional(tx.connection()).await?;
+    let is_new = is_new && photos.is_none();
+    let is_own = match blobs.library().await? {
+        Some(of) => of == id,
+        None if is_new => blobs.claim(&id).await?,
         None => {
-            let photos = sqlx::query("SELECT id FROM photos LIMIT 1").fetch_optional(database.reader()).await?;
-            if photos.is_some() {
-                let why = "the database has photos, but not in this blob store: all nodes need the same --blobs";
-                return Err(LibraryError::Invalid(why.into()));
-            }
-            blobs.set_library(&id).await
+            tx.rollback().await;
+            let why = "the database belongs to another blob store: all nodes need the same --blobs";
+            return Err(LibraryError::Invalid(why.into()));
         }
+    };
+    if is_own {
+        return tx.commit().await;
     }
+    // what was refused must not count as paired
+    tx.rollback().await;
+    Err(LibraryError::Invalid("the blob store belongs to another library: give each library its own bucket or prefix".into()))
 }
 
 const fn millis(time: Duration) -> Millis {

@@ -6,7 +6,7 @@ use axum::response::Response;
 
 use super::path_photo::PathPhoto;
 use super::query::{OnlyVersion, Pairs};
-use crate::server::app_state::{App, AppState, StoredFile};
+use crate::server::app_state::{App, AppState, DiskFullPolicy, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, cache_control_for, respond};
 use crate::server::problem::Problem;
 use tmpi_core::Rect;
@@ -109,8 +109,10 @@ pub async fn depth(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri
     let file = app.file(&photo, Part::Disparity).await?;
     let head = file.source.head(strokes::HEAD).await.map_err(|e| Problem::store(&e))?;
     let none = || Problem::not_found("there is no map before the strokes: the photo has no strokes, or an older program made it");
-    let map = strokes::before(&head).ok_or_else(none)?;
-    Ok(answer(StoredFile::new(map.to_vec()), &headers, "image/png", cache_control, ContentCoding::Plain))
+    let (map, disk) = (strokes::before(&head).ok_or_else(none)?.to_vec(), app.temp_folder());
+    let keep = tokio::task::spawn_blocking(move || StoredFile::derived(None, map, &disk, DiskFullPolicy::Memory));
+    let file = keep.await.map_err(|e| Problem::internal("keeping a depth map", &e))??;
+    Ok(answer(file, &headers, "image/png", cache_control, ContentCoding::Plain))
 }
 
 /// Report on how the photo was made: steps taken, steps skipped, errors and costs.

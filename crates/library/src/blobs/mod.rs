@@ -30,6 +30,10 @@ use objects::Objects;
 const DIGITS: usize = 16;
 /// Folder of the probe's blobs.
 const PROBE: &str = "probe";
+/// Start of the name of a claim of the store, before the id of its library.
+const CLAIM: &str = "probe/claim-";
+/// Age in milliseconds at which a claim counts as left behind by a crash.
+const CLAIM_ENDS: Millis = 15 * 60 * 1000;
 /// Name of the blob with the id of the store's library.
 const LIBRARY: &str = "library-id";
 /// How long replaced blobs stay for readers that began before.
@@ -139,7 +143,7 @@ impl BlobStore {
     pub async fn probe(&self) -> Result<()> {
         let name = format!("{PROBE}/{}", hex(&random::<8>()?));
         let written = Bytes::from_static(b"tmpi");
-        self.put_all(vec![Write { name: name.clone(), source: Source::Bytes(written.clone()) }]).await?;
+        self.put(name.clone(), written.clone()).await?;
         let read = self.get(&name, Some(0..written.len() as u64)).await;
         self.delete(&name).await?;
         if read? == written { Ok(()) } else { Err(LibraryError::Invalid("the blob store returned other bytes than were written".into())) }
@@ -193,7 +197,7 @@ impl BlobStore {
         Ok(blobs)
     }
 
-    /// Id of the store's library, as written by [`BlobStore::set_library`].
+    /// Id of the store's library, as written by [`BlobStore::claim`].
     pub(crate) async fn library(&self) -> Result<Option<Bytes>> {
         match self.get(LIBRARY, None).await {
             Err(LibraryError::NotFound(_)) => Ok(None),
@@ -201,9 +205,34 @@ impl BlobStore {
         }
     }
 
-    /// Writes the id of the store's library.
-    pub(crate) async fn set_library(&self, id: &str) -> Result<()> {
-        self.put_all(vec![Write { name: LIBRARY.into(), source: Source::Bytes(Bytes::from(id.to_owned())) }]).await
+    /// Makes the store that of library `id`; false if another library has it, or claims it at the same time.
+    ///
+    /// The store has no conditional writes. So a claim is announced before it looks for others, and its announcement stays until its end: of
+    /// two claims, the one that looks last sees the other's announcement, or its result.
+    pub(crate) async fn claim(&self, id: &str) -> Result<bool> {
+        let own = format!("{CLAIM}{id}-{}", hex(&random::<8>()?));
+        self.put(own.clone(), Bytes::from_static(b"claim")).await?;
+        let claimed = self.claim_as_announced(id, &own).await;
+        self.delete(&own).await?;
+        claimed
+    }
+
+    async fn claim_as_announced(&self, id: &str, own: &str) -> Result<bool> {
+        let listed = self.list(PROBE).await?;
+        let now = listed.iter().find(|claim| claim.name == own).map_or(0, |claim| claim.written_at);
+        let is_of_another = |claim: &Listed| claim.name.strip_prefix(CLAIM).is_some_and(|rest| !rest.starts_with(id));
+        if listed.iter().any(|claim| is_of_another(claim) && now - claim.written_at < CLAIM_ENDS) {
+            return Ok(false);
+        }
+        if let Some(of) = self.library().await? {
+            return Ok(of == id);
+        }
+        self.put(LIBRARY.into(), Bytes::from(id.to_owned())).await?;
+        Ok(true)
+    }
+
+    async fn put(&self, name: String, bytes: Bytes) -> Result<()> {
+        self.put_all(vec![Write { name, source: Source::Bytes(bytes) }]).await
     }
 
     async fn put_all(&self, writes: Vec<Write>) -> Result<()> {
@@ -288,7 +317,7 @@ impl BlobStore {
     /// The store's time.
     pub(crate) async fn now(&self) -> Result<Millis> {
         let name = format!("{PROBE}/{}", hex(&random::<8>()?));
-        self.put_all(vec![Write { name: name.clone(), source: Source::Bytes(Bytes::from_static(b"now")) }]).await?;
+        self.put(name.clone(), Bytes::from_static(b"now")).await?;
         let listed = self.list(PROBE).await;
         self.delete(&name).await?;
         let written = listed?.into_iter().find(|listed| listed.name == name).map(|listed| listed.written_at);

@@ -1,3 +1,4 @@
+use super::lossy_disk::LossyDisk;
 use super::*;
 
 on_both! {
@@ -5,6 +6,7 @@ on_both! {
     fsck_finds_missing_truncated_and_changed_blobs,
     blobs_of_a_folder_that_is_away_are_not_damaged,
     a_store_of_another_library_is_refused,
+    of_nodes_with_different_stores_that_start_at_once_one_is_refused,
     garbage_collection_runs_once_a_day_on_one_node,
 }
 
@@ -115,10 +117,43 @@ async fn a_store_of_another_library_is_refused(bed: Bed) {
     };
     let (other, own) = (Bed::sqlite(), bed.path().join("blobs"));
     assert!(refusal(&other, &own).await.contains("another library"), "its gc would delete this one's blobs");
-    bed.node().await;
-    done(&library, 1, owner("ann")).await;
+    other.node().await;
     let empty = other.path().join("empty");
+    assert!(refusal(&bed, &empty).await.contains("the same --blobs"), "some of the photos would be in either");
+    done(&library, 1, owner("ann")).await;
     assert!(refusal(&bed, &empty).await.contains("the same --blobs"), "its photos would be missing");
+    bed.node().await;
+}
+
+async fn of_nodes_with_different_stores_that_start_at_once_one_is_refused(bed: Bed) {
+    let bed = Arc::new(bed);
+    let open = |name: &'static str| {
+        let bed = Arc::clone(&bed);
+        tokio::spawn(async move {
+            let blobs = BlobStore::folder(&bed.path().join(name), Reserve::default()).unwrap();
+            Box::pin(bed.try_node_of(blobs, Limits::default())).await.err().map(|error| error.to_string())
+        })
+    };
+    let [one, other] = [open("one"), open("other")];
+    let refused: Vec<String> = [one.await.unwrap(), other.await.unwrap()].into_iter().flatten().collect();
+    assert!(matches!(refused.as_slice(), [told] if told.contains("the same --blobs")), "{refused:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn of_two_libraries_that_claim_a_new_store_at_once_at_most_one_gets_it() {
+    for round in 0..100 {
+        let store = BlobStore::folder_of(Arc::new(LossyDisk::default()), Path::new("/blobs")).unwrap();
+        let claim = |id: &'static str| {
+            let store = store.clone();
+            tokio::spawn(async move { store.claim(id).await.unwrap() })
+        };
+        let [one, other] = [claim("one"), claim("other")];
+        let got = [one.await.unwrap(), other.await.unwrap()];
+        assert_ne!(got, [true, true], "in round {round}");
+        // whoever comes later gets it if both were refused
+        let is_free = got == [false, false];
+        assert_eq!((store.claim("one").await.unwrap(), store.claim("other").await.unwrap()), (got[0] || is_free, got[1]));
+    }
 }
 
 async fn garbage_collection_runs_once_a_day_on_one_node(bed: Bed) {
