@@ -60,7 +60,7 @@ pub fn fill(measured: &mut [f32], estimate: &[f32], w: usize) -> f64 {
 }
 
 /// Fills gaps where a nearer surface hides the scene from the other eye with the farther of the two sides.
-fn fill_hidden(measured: &mut [f32], w: usize) {
+pub(super) fn fill_hidden(measured: &mut [f32], w: usize) {
     for row in measured.chunks_exact_mut(w) {
         let mut left: Option<usize> = None;
         for x in 0..w {
