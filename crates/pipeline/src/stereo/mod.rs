@@ -237,8 +237,7 @@ impl Measured {
         let small = DisparityMap { width, height, delta };
         let own = (width, height) == (photo.width, photo.height);
         let map = if own { small.clone() } else { depth::resized(&small, photo.width, photo.height) };
-        // what the first does not show lies behind
-        fuse::fill_hidden(&mut second, width as usize);
+        second_eye::fill_hidden(&mut second, width as usize);
         let second = SecondEye {
             first: (photo.width, photo.height),
             size: (width as usize, height as usize),

@@ -4,6 +4,7 @@ use std::ops::RangeInclusive;
 
 use tmpi_core::Photo;
 
+use super::fuse::is_hidden;
 use super::rectify::Model;
 
 /// The second picture shows a point if its own disparity there differs from the point's by at most this many pixels at the matched size, plus
@@ -14,6 +15,9 @@ const SETTLED: f64 = 1.0;
 const STEPS: usize = 3;
 /// Radius of the window, in pixels at the matched size, that must be free of nearer surfaces, whose colours would mix in.
 const CLEAR: usize = 2;
+/// Most pixels beside a gap whose disparities tell what is behind it. Those at its border are off by up to 2 pixels: their windows reach
+/// into the gap. On spots behind a square, the strip that only the second eye sees gains 17.6 dB with 11 pixels, 8.2 with one.
+const BESIDE: usize = 11;
 /// With this many levels added, another exposure multiplies sRGB levels by one factor, except for the darkest ones.
 const TOE: f64 = 0.055 * 255.0;
 /// Levels at which exposures are compared: others may be clipped.
@@ -97,6 +101,32 @@ impl SecondEye {
             row.iter().all(|d| d.is_nan() || f64::from(*d) <= most)
         })
     }
+}
+
+/// Fills gaps in the rows of the second picture, `w` pixels wide, that a nearer surface hides from the first, with the disparity behind it.
+pub(super) fn fill_hidden(disparity: &mut [f32], w: usize) {
+    for row in disparity.chunks_exact_mut(w) {
+        let mut left: Option<usize> = None;
+        for x in 0..w {
+            if !row[x].is_finite() {
+                continue;
+            }
+            if let Some(l) = left.filter(|l| x - l > 1) {
+                let (before, after) = (median(row[..=l].iter().rev()), median(row[x..].iter()));
+                if is_hidden(x - l - 1, after - before) {
+                    row[l + 1..x].fill(before.min(after));
+                }
+            }
+            left = Some(x);
+        }
+    }
+}
+
+/// Median of the values up to the first that is not finite, at most [`BESIDE`]; NaN if there are none.
+fn median<'a>(values: impl Iterator<Item = &'a f32>) -> f32 {
+    let mut known: Vec<f32> = values.copied().take_while(|v| v.is_finite()).take(BESIDE).collect();
+    known.sort_unstable_by(f32::total_cmp);
+    known.get(known.len() / 2).copied().unwrap_or(f32::NAN)
 }
 
 fn size_of(photo: &Photo) -> (usize, usize) {
