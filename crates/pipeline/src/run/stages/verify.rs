@@ -56,7 +56,7 @@ fn reader_errors(photo: &Photo, made: &Encoded) -> Result<ReaderErrors, MakeErro
     if made.optional != OptionalSections::default() {
         // hidden colours are stored for all tiles together, so no single row can be decoded
         let read = container::decode(&made.container)?;
-        // mattes follow from the photo, which its codec has changed
+        // those of mattes follow from the photo and are exact
         let carried = |scene: &Scene| container::carried_colours(&made.geometry, scene);
         let hidden = |_| Some(psnr(carried(&read)?.as_flattened(), carried(&made.scene)?.as_flattened()));
         let mut difference = Difference::default();
