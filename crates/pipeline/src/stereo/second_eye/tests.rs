@@ -170,6 +170,26 @@ fn colours_of_the_square_do_not_spill_onto_the_wall() {
 }
 
 #[test]
+fn a_gap_takes_the_disparity_of_several_pixels_behind_it() {
+    let row = |gap: usize| [vec![52.0; 12], vec![f32::NAN; gap], vec![7.0, 6.0], vec![4.0; 12]].concat();
+    let filled = |mut row: Vec<f32>| {
+        let w = row.len();
+        fill_hidden(&mut row, w);
+        row
+    };
+    let want = [vec![52.0_f32; 12], vec![4.0; 40], vec![7.0, 6.0], vec![4.0; 12]].concat();
+    assert_eq!(filled(row(40)), want);
+    let mirrored = |row: Vec<f32>| row.into_iter().rev().collect::<Vec<_>>();
+    assert_eq!(filled(mirrored(row(40))), mirrored(want));
+    // wider than the step hides
+    assert_eq!(filled(row(90)).iter().filter(|d| d.is_nan()).count(), 90);
+    // nothing known on one side, or on both
+    for row in [vec![f32::NAN; 9], [vec![f32::NAN; 9], vec![3.0; 4]].concat()] {
+        assert_eq!(filled(row).iter().filter(|d| d.is_nan()).count(), 9);
+    }
+}
+
+#[test]
 fn an_eye_that_shows_too_little_changes_nothing() {
     type Change = fn(usize, f32) -> f32;
     let pair = Pair::new(false, 1.0);
