@@ -12,7 +12,7 @@ const stem = (file) => file.name.replace(/\.[^.]*$/, '').toLowerCase();
  * Each photo with its depth map, in the order of the photos. A map belongs to the first photo of its name in its own folder. A map without
  * a photo is a photo like any other.
  * @param {Found[]} found
- * @returns {{file: File, depth: File | null}[]}
+ * @returns {{file: File, depth: File | null, second?: File}[]}
  */
 export function pairs(found) {
   /** The first photo of each name in each folder. @type {Map<unknown, Map<string, File>>} */

@@ -32,15 +32,24 @@ function forget(id) {
   forgetRow(id);
 }
 
+const [map, eye] = ['depth-map', 'second-eye'].map((id) => $(id, HTMLInputElement));
+// depth comes from one of them
+map.addEventListener('change', () => {
+  eye.value = '';
+});
+eye.addEventListener('change', () => {
+  map.value = '';
+});
+
 /** @param {Found[]} found */
 function take(found) {
-  const map = $('depth-map', HTMLInputElement);
   const photos = pairs(found);
-  // a depth map that the user chose belongs to a single photo
-  const chosen = photos.length === 1 ? map.files?.[0] : undefined;
-  if (chosen) {
-    photos[0].depth = chosen;
+  // a depth map or second eye that the user chose belongs to a single photo
+  const [ownMap, second] = [map, eye].map(({ files }) => (photos.length === 1 ? files?.[0] : undefined));
+  if (ownMap || second) {
+    photos[0] = { ...photos[0], depth: ownMap ?? null, second };
     map.value = '';
+    eye.value = '';
   }
   upload(photos, QUALITIES[$('quality', HTMLSelectElement).value]);
 }

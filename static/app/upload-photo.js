@@ -17,18 +17,18 @@ function refusal(xhr) {
 }
 
 /**
- * Uploads a file, its depth map if there is one, and options by name.
+ * Uploads a file, its depth map or second eye if there is one, and options by name.
  * @param {File} file
- * @param {File | null} depth
+ * @param {{depth: File | null, second?: File}} beside at most one of them
  * @param {Record<string, number>} options
  * @param {(share: number) => void} onProgress is called with the share of bytes sent, 0 to 1
  * @returns {{done: Promise<Photo>, abort: () => void}} `done` resolves to the photo's JSON
  */
-export function uploadPhoto(file, depth, options, onProgress) {
+export function uploadPhoto(file, beside, options, onProgress) {
   const form = new FormData();
   for (const [name, value] of Object.entries(options)) form.append(name, String(value));
   form.append('photo', file, file.name || 'photo');
-  if (depth) form.append('depth', depth, depth.name || 'depth');
+  for (const [name, other] of Object.entries(beside)) if (other) form.append(name, other, other.name || name);
   const xhr = new XMLHttpRequest();
   const done = new Promise((resolve, reject) => {
     xhr.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);

@@ -22,7 +22,8 @@ const FOLD_MS = 12_000;
 /** Share of the bar that the upload itself takes. */
 const UPLOAD_SHARE = 0.25;
 
-/** @typedef {{file: File, depth: File | null, options: Record<string, number>, row: Row}} Job */
+/** What tells the depth of a photo, if not the photo itself. @typedef {{depth: File | null, second?: File}} Beside */
+/** @typedef {{file: File, beside: Beside, options: Record<string, number>, row: Row}} Job */
 
 /** Files that wait to be sent. @type {Job[]} */
 const waiting = [];
@@ -68,13 +69,13 @@ addEventListener('beforeunload', (event) => {
 
 /**
  * Uploads photos.
- * @param {{file: File, depth: File | null}[]} photos
+ * @param {({file: File} & Beside)[]} photos
  * @param {Record<string, number>} options of the interface
  */
 export function upload(photos, options) {
-  for (const { file, depth } of photos) {
+  for (const { file, ...beside } of photos) {
     const row = rowOf(file.name || t('Pasted photo'), file);
-    const job = { file, depth, options, row };
+    const job = { file, beside, options, row };
     row.onClose = () => {
       waiting.splice(waiting.indexOf(job), 1);
       row.remove();
@@ -126,7 +127,7 @@ function sendNext() {
 }
 
 /** @param {Job} job */
-async function send({ file, depth, options, row }) {
+async function send({ file, beside, options, row }) {
   try {
     let cancelled = false;
     row.onClose = () => {
@@ -134,12 +135,12 @@ async function send({ file, depth, options, row }) {
       row.remove();
     };
     const photo = await prepared(file, (loss) => {
-      // a depth map beside the photo replaces the photo's own
-      if (!depth) row.note = loss;
+      // a depth map or second eye beside the photo replaces the photo's own
+      if (!beside.depth && !beside.second) row.note = loss;
       row.show(t('Converting'));
     });
     // making it does not hold up the next upload
-    if (!cancelled) follow(await post(photo, depth, options, row), row);
+    if (!cancelled) follow(await post(photo, beside, options, row), row);
   } catch (error) {
     if (error.name === 'AbortError') row.remove();
     else row.fail(error.message);
@@ -149,13 +150,13 @@ async function send({ file, depth, options, row }) {
 /**
  * Uploads the file; if the server is busy, waits as long as it asks for.
  * @param {File} file
- * @param {File | null} depth
+ * @param {Beside} beside
  * @param {Record<string, number>} options
  * @param {Row} row
  */
-async function post(file, depth, options, row) {
+async function post(file, beside, options, row) {
   for (;;) {
-    const going = uploadPhoto(file, depth, options, (share) => row.show(sendingText(share), share * UPLOAD_SHARE));
+    const going = uploadPhoto(file, beside, options, (share) => row.show(sendingText(share), share * UPLOAD_SHARE));
     row.onClose = going.abort;
     try {
       return await going.done;

@@ -61,6 +61,8 @@ const GERMAN = {
   Depth: 'Tiefe',
   'Your own depth map, for one photo (a grey picture, near is bright; best a 16-bit PNG)':
     'Eigene Tiefenkarte, für ein Foto (graues Bild, Nahes ist hell; am besten ein PNG mit 16 Bit)',
+  'Second eye, for one photo (a picture taken from beside it, which tells depth)':
+    'Zweites Auge, für ein Foto (ein Bild von daneben, das die Tiefe verrät)',
   'Depth: a map of your own.': 'Tiefe: eine eigene Karte.',
   'Depth: from the photo itself.': 'Tiefe: aus dem Foto selbst.',
   'Depth: estimated by {0} in {1} s.': 'Tiefe: von {0} in {1} s geschätzt.',

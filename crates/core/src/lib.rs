@@ -13,6 +13,7 @@ pub mod simd;
 
 pub use layers::{
     Geometry, Inpainter, LayerMask, LayerMasks, Pyramid, SeenBackground, TexturedLayer, Tile, TileFrame, compose, grown, texture,
+    texture_with,
 };
 pub use scene::{
     Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, MirrorBlur, Photo, Plane, Pose, Rect, Scene, SceneError, Texels, ViewBox,

@@ -429,6 +429,14 @@ describe('every control', () => {
         await page.getByRole('button', { name: 'Dismiss three.png' }).click();
         await page.getByText('three.png', { exact: true }).waitFor({ state: 'detached' });
       },
+      'input: Second eye, for one photo (a picture taken from beside it, which tells depth)': async () => {
+        await $('second-eye').setInputFiles([file('right.png')]);
+        await $('picker').setInputFiles([file('four.png')]);
+        assert.match(await sent(5), /name="second"; filename="right.png"/);
+        await page.getByText('This is no picture.', { exact: true }).waitFor();
+        await page.getByRole('button', { name: 'Dismiss four.png' }).click();
+        await page.getByText('four.png', { exact: true }).waitFor({ state: 'detached' });
+      },
       'a: Open box': async () => assert.equal(await card.getAttribute('href'), '/view/box'),
       'button: Delete box': async () => {
         await page.getByRole('button', { name: 'Delete box' }).click();

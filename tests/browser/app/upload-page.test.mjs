@@ -50,21 +50,28 @@ describe('gallery page', () => {
     await context.close();
   });
 
-  test('a depth map applies to one photo', async () => {
-    const posts = [
-      { status: 202, json: photo('a') },
-      { status: 202, json: photo('b') },
-    ];
-    const { page, context, bodies } = await suite.open({ posts });
-    await page.locator('summary').click();
-    await page.setInputFiles('#depth-map', { name: 'map.png', mimeType: 'image/png', buffer: Buffer.from('depths') });
-    for (const name of ['one.png', 'two.png']) {
-      await page.setInputFiles('#picker', { name, mimeType: 'image/png', buffer: Buffer.from('x') });
-      await page.getByRole('link', { name: `Open ${name}` }).waitFor();
+  test('a depth map or a second eye applies to one photo, and the last choice counts', async () => {
+    for (const [input, other, field] of [
+      ['#depth-map', '#second-eye', 'depth'],
+      ['#second-eye', '#depth-map', 'second'],
+    ]) {
+      const posts = [
+        { status: 202, json: photo('a') },
+        { status: 202, json: photo('b') },
+      ];
+      const { page, context, bodies } = await suite.open({ posts });
+      await page.locator('summary').click();
+      await page.setInputFiles(other, { name: 'other.png', mimeType: 'image/png', buffer: Buffer.from('other') });
+      await page.setInputFiles(input, { name: 'map.png', mimeType: 'image/png', buffer: Buffer.from('depths') });
+      for (const name of ['one.png', 'two.png']) {
+        await page.setInputFiles('#picker', { name, mimeType: 'image/png', buffer: Buffer.from('x') });
+        await page.getByRole('link', { name: `Open ${name}` }).waitFor();
+      }
+      assert.match(bodies[0], new RegExp(`name="${field}"; filename="map.png"`));
+      for (const body of bodies) assert.doesNotMatch(body, /other\.png/);
+      assert.doesNotMatch(bodies[1], /map\.png/);
+      await context.close();
     }
-    assert.match(bodies[0], /name="depth"; filename="map.png"/);
-    assert.doesNotMatch(bodies[1], /name="depth"/);
-    await context.close();
   });
 
   test('has no serious accessibility violations', async () => {

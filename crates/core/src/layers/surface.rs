@@ -40,7 +40,7 @@ impl Surface {
     }
 
     /// Index of the first row.
-    pub(super) const fn top(&self) -> u32 {
+    pub(crate) const fn top(&self) -> u32 {
         self.top
     }
 
