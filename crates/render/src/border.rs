@@ -99,34 +99,34 @@ impl Piece {
     }
 }
 
-/// Expands the texels of a scene's pieces. Consecutive pieces of one layer share the work.
+/// Expands the texels of a scene's pieces.
 pub(super) struct Expander<'a> {
     scene: &'a Scene,
     colours: Option<&'a BorderColours>,
-    /// All texels of the current layer. For mirrored pieces, the colours are those beyond the borders in `of`.
+    /// All texels of the current layer. If it is mirrored, those of its piece have continued colours.
     layer: Vec<[u8; 4]>,
-    of: Option<(usize, [Option<Border>; 2])>,
 }
 
 impl<'a> Expander<'a> {
     /// Creates an expander for pieces of `scene`; `colours` come from [`border_colours`]. Without them, mirrored pieces keep their own.
     pub const fn new(scene: &'a Scene, colours: Option<&'a BorderColours>) -> Self {
-        Self { scene, colours, layer: Vec::new(), of: None }
+        Self { scene, colours, layer: Vec::new() }
     }
 
     /// Rows of a piece's texels, from the top. Each row runs from left to right of the layer: backward if the piece is mirrored in x.
     pub fn rows(&mut self, piece: &Piece) -> impl Iterator<Item = &[[u8; 4]]> {
-        let Self { scene, colours, layer, of } = self;
-        if *of != Some((piece.layer, piece.mirrored)) {
-            layer.clear();
-            scene.expand_layer(piece.layer, layer);
-            if let Some(colours) = colours.filter(|_| piece.is_mirrored()) {
-                let own = &scene.layers[piece.layer];
-                let (x, y, width) = (own.rect.x as usize, own.rect.y as usize, own.rect.w as usize);
-                let rows = layer.chunks_mut(width).zip(scene.texels.class[own.first_texel..].chunks(width));
-                rows.zip(y..).for_each(|((row, class), y)| colours.recolour((x, y), piece.mirrored, class, row));
+        let Self { scene, colours, layer } = self;
+        layer.clear();
+        scene.expand_layer(piece.layer, layer);
+        if let Some(colours) = colours.filter(|_| piece.is_mirrored()) {
+            let own = &scene.layers[piece.layer];
+            let ([first, above], [count, height]) = (piece.first.map(|v| v as usize), piece.size.map(|v| v as usize));
+            let (x, y, width) = (own.rect.x as usize + first, own.rect.y as usize, own.rect.w as usize);
+            let rows = layer.chunks_mut(width).zip(scene.texels.class[own.first_texel..].chunks(width)).zip(y..);
+            for ((row, class), y) in rows.skip(above).take(height) {
+                let (row, class) = (&mut row[first..first + count], &class[first..first + count]);
+                colours.recolour((x, y), piece.mirrored, class, row);
             }
-            *of = Some((piece.layer, piece.mirrored));
         }
         let mut rows = piece.rows(scene, layer);
         let upwards = piece.mirrored[1].is_some();
