@@ -206,17 +206,17 @@ mod tests {
         assert!(whole.iter().any(|t| t[3] > 0 && t[3] < 255));
         let top = 2;
         let rows = PhotoRows { width, height, top, rgb: photo.rgb[(top * width) as usize..].to_vec() };
-        let blur = MirrorBlur::new(&rows.rgb, [width, height], top);
+        let beyond = BorderColours::new(&rows.rgb, [width, height], top);
         for (u, v) in (0..7).flat_map(|u| (0..5).map(move |v| (u, v))) {
-            let piece = Piece { layer: 0, from: (u, v), size: (7 - u, 5 - v), mirrored: (false, false), x: 1 };
-            let strip = strip(&part, (&rows, &blur), std::iter::once(piece), (9, 5), false).unwrap();
+            let piece = Piece { layer: 0, from: (u, v), size: (7 - u, 5 - v), mirrored: [None; 2], x: 1 };
+            let strip = strip(&part, (&rows, &beyond), std::iter::once(piece), (9, 5), false).unwrap();
             for (x, y) in (0..9).flat_map(|x| (0..5).map(move |y| (x, y))) {
                 let within = (1..8 - u).contains(&x) && y < 5 - v;
                 let want = if within { whole[(v + y) * 7 + u + x - 1] } else { [0; 4] };
                 assert_eq!(strip[y * 9 + x], want, "texel {x}, {y} of the piece from {u}, {v}");
             }
         }
-        let outside = Piece { layer: 0, from: (1, 1), size: (7, 4), mirrored: (false, false), x: 0 };
-        assert!(strip(&part, (&rows, &blur), std::iter::once(outside), (9, 5), false).is_none());
+        let outside = Piece { layer: 0, from: (1, 1), size: (7, 4), mirrored: [None; 2], x: 0 };
+        assert!(strip(&part, (&rows, &beyond), std::iter::once(outside), (9, 5), false).is_none());
     }
 }
