@@ -1,8 +1,9 @@
 // Decodes a container in bands and joins their layers into the scene that the page uploads and draws.
-import { pieces as piecesOf } from '../draw/border.js';
+import { mirrorFlags, pieces as piecesOf } from '../draw/border.js';
 import { floatsFit } from '../draw/deep-stacks.js';
 import { instances } from '../draw/instances.js';
 import { pack } from '../draw/texture-atlas.js';
+import { margins } from '../view/camera-limits.js';
 import { tileCounts } from './grid.js';
 
 /** @import { Piece } from '../draw/border.js' */
@@ -97,10 +98,13 @@ function cut(scene, { bytes, photo, hidden }, count) {
   const { columns, tiles } = tileCounts(scene);
   const rows = tiles / columns;
   const bands = Math.min(count, rows);
+  const margin = margins(scene).y;
   return Array.from({ length: bands }, (_, i) => {
     const [first, end] = [Math.floor((i * rows) / bands), Math.floor(((i + 1) * rows) / bands)];
-    const top = Math.max(first * scene.tileStride - REACH, 0);
-    const bottom = Math.min((end - 1) * scene.tileStride + scene.tileSize + REACH, photo.height);
+    const [from, to] = [first * scene.tileStride, (end - 1) * scene.tileStride + scene.tileSize];
+    // texels that are mirrored beyond the upper or lower border take the colours at that border
+    const top = from < margin ? 0 : Math.max(from - REACH, 0);
+    const bottom = to > photo.height - margin ? photo.height : Math.min(to + REACH, photo.height);
     const stride = photo.width * 4;
     // the band in this worker shares the picture; the others get copies to transfer
     const data = i === 0 ? photo.data.subarray(0, bottom * stride) : photo.data.slice(top * stride, bottom * stride);
@@ -159,8 +163,8 @@ function joined(tables) {
  */
 function stripJob({ pieces: own, x, h }, pieces, start, width) {
   const numbers = own.flatMap((i, k) => {
-    const { layer, u, v, w, h, flipX, flipY } = pieces[i];
-    return [layer - start, u, v, w, h, Number(flipX) + 2 * Number(flipY), x[k]];
+    const { layer, u, v, w, h } = pieces[i];
+    return [layer - start, u, v, w, h, mirrorFlags(pieces[i]), x[k]];
   });
   return { pieces: Uint32Array.from(numbers), width, height: h };
 }

@@ -99,8 +99,7 @@ export class Decoder {
 
   /**
    * Fills a strip of a texture page.
-   * @param {Uint32Array} pieces seven numbers each: layer, first column, first row, columns, rows, mirror flags (1 columns, 2 rows), column
-   *   in the strip
+   * @param {Uint32Array} pieces seven numbers each: layer, first column, first row, columns, rows, `mirrorFlags`, column in the strip
    * @param {number} width
    * @param {number} height
    * @param {boolean} straight

@@ -1,5 +1,5 @@
-// Continues a scene beyond the photo's borders by its mirror image, so that no camera in the view box sees past them. As in
-// crates/render/src/border.rs, the scene is mirrored and not the picture, so that the continuation moves with the photo.
+// Continues a scene beyond the photo's borders, so that no camera in the view box sees past them. As in crates/render/src/border.rs, the
+// shape of the scene is mirrored, so that the continuation moves with the photo. The decoder continues the colours.
 import { margins } from '../view/camera-limits.js';
 
 /** @import { Layers, SceneHead } from '../decode/scene.js' */
@@ -64,6 +64,14 @@ export function pieces(scene) {
     }
   }
   return out;
+}
+
+/**
+ * The borders at which a piece is mirrored, for the decoder: 1 columns, 2 rows, 4 at the right border, 8 at the lower one.
+ * @param {Pick<Piece, 'x' | 'y' | 'flipX' | 'flipY'>} piece
+ */
+export function mirrorFlags({ x, y, flipX, flipY }) {
+  return (flipX ? (x < 0 ? 1 : 5) : 0) + (flipY ? (y < 0 ? 2 : 10) : 0);
 }
 
 /**

@@ -16,6 +16,6 @@ pub use layers::{
     texture_with,
 };
 pub use scene::{
-    Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, MirrorBlur, Photo, Plane, Pose, Rect, Scene, SceneError, Texels, ViewBox,
-    homography, mat3_mul, mat3_vec,
+    Border, BorderColours, Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, Photo, Plane, Pose, Rect, Scene, SceneError, Texels,
+    ViewBox, homography, mat3_mul, mat3_vec,
 };

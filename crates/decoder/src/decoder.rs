@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use tmpi_core::container::{PhotoRows, Piece, TileLayers, decode_rows, strip};
-use tmpi_core::{Class, MirrorBlur, Photo, Texels};
+use tmpi_core::{BorderColours, Class, Photo, Texels};
 
 /// Results that can be read.
 #[derive(Clone, Copy, Debug)]
@@ -33,8 +33,8 @@ pub struct Decoder {
     input: Vec<u8>,
     container: Vec<u8>,
     photo: PhotoRows,
-    /// Blur of the photo, created when a piece beyond its borders is first requested.
-    blur: Option<MirrorBlur>,
+    /// Colours beyond the photo's borders, taken when the first strip is requested.
+    beyond: Option<BorderColours>,
     hidden: Option<Photo>,
     part: TileLayers,
     numbers: Vec<u8>,
@@ -52,7 +52,7 @@ impl Decoder {
             input: Vec::new(),
             container: Vec::new(),
             photo,
-            blur: None,
+            beyond: None,
             hidden: None,
             part: TileLayers { layers: Vec::new(), texels },
             numbers: Vec::new(),
@@ -121,8 +121,8 @@ impl Decoder {
         let numbers: Vec<u32> = self.input.as_chunks().0.iter().map(|n| u32::from_le_bytes(*n)).collect();
         let pieces = numbers.as_chunks().0.iter().map(Piece::of);
         let photo = &self.photo;
-        let blur = self.blur.get_or_insert_with(|| MirrorBlur::new(&photo.rgb, [photo.width, photo.height], photo.top));
-        self.strip = strip(&self.part, (photo, blur), pieces, size, straight).ok_or("a piece does not fit")?;
+        let beyond = self.beyond.get_or_insert_with(|| BorderColours::new(&photo.rgb, [photo.width, photo.height], photo.top));
+        self.strip = strip(&self.part, (photo, beyond), pieces, size, straight).ok_or("a piece does not fit")?;
         Ok(1)
     }
 

@@ -1,10 +1,10 @@
 //! Mirrors a scene at the photo's borders, so that no camera of the view box sees past them.
 //!
-//! This mirrors the scene, not the picture: mirrored planes tilt the other way, and hidden texels stay behind what hides them. The
-//! continuation therefore moves like the photo. [`MirrorBlur`] blurs its colours, more with growing distance from the border. Backends
-//! derive the continuation when they draw; no container holds it.
+//! This mirrors the shape of the scene: mirrored planes tilt the other way, and hidden texels stay behind what hides them. The
+//! continuation therefore moves like the photo. Its colours are not mirrored: [`BorderColours`] continues those at the border, blurred more
+//! with growing distance from it. Backends derive the continuation when they draw; no container holds it.
 
-use tmpi_core::{Camera, Mat3, MirrorBlur, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
+use tmpi_core::{Border, BorderColours, Camera, Mat3, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
 
 /// Maximum margin, as a share of the photo's longer side. If a view box needs more, its corners see past the margin.
 const WIDEST: f64 = 1.0 / 4.0;
@@ -26,8 +26,8 @@ pub(super) struct Piece {
     pub drawn: [[f64; 2]; 2],
     /// First column and row of the piece in the layer's rectangle.
     first: [u32; 2],
-    /// Whether the piece is mirrored in x, in y.
-    pub mirrored: [bool; 2],
+    /// The borders at which the piece is mirrored in x, in y.
+    pub mirrored: [Option<Border>; 2],
 }
 
 /// One axis of a piece.
@@ -38,18 +38,18 @@ struct Side {
     first: u32,
     /// Start and end of the drawn range.
     drawn: [f64; 2],
-    /// Twice the mirror's position; `None` for a piece that is not mirrored.
-    mirror: Option<i64>,
+    /// The border that is the mirror, and twice its position; `None` for a piece that is not mirrored.
+    mirror: Option<(Border, i64)>,
 }
 
 impl Piece {
     fn new(scene: &Scene, layer: usize, x: Side, y: Side) -> Self {
         let own = &scene.layers[layer];
         let (mut plane, mut centre) = (own.plane, scene.grid.centre(own.tile));
-        if let Some(twice) = x.mirror {
+        if let Some((_, twice)) = x.mirror {
             (plane.b, centre.0) = (-plane.b, twice as f64 - centre.0);
         }
-        if let Some(twice) = y.mirror {
+        if let Some((_, twice)) = y.mirror {
             (plane.c, centre.1) = (-plane.c, twice as f64 - centre.1);
         }
         Self {
@@ -60,7 +60,7 @@ impl Piece {
             size: [x.size, y.size],
             drawn: [x.drawn, y.drawn],
             first: [x.first, y.first],
-            mirrored: [x.mirror.is_some(), y.mirror.is_some()],
+            mirrored: [x, y].map(|side| side.mirror.map(|(border, _)| border)),
         }
     }
 
@@ -95,56 +95,56 @@ impl Piece {
 
     /// Whether the piece lies beyond a border.
     pub fn is_mirrored(&self) -> bool {
-        self.mirrored != [false; 2]
+        self.mirrored != [None; 2]
     }
 }
 
-/// Expands the texels of a scene's pieces. Consecutive pieces of one layer share the work.
+/// Expands the texels of a scene's pieces.
 pub(super) struct Expander<'a> {
     scene: &'a Scene,
-    blur: Option<&'a MirrorBlur>,
-    /// All texels of the current layer. For mirrored pieces, the colours are blurred for the directions in `of`.
+    colours: Option<&'a BorderColours>,
+    /// All texels of the current layer. If it is mirrored, those of its piece have continued colours.
     layer: Vec<[u8; 4]>,
-    of: Option<(usize, [bool; 2])>,
 }
 
 impl<'a> Expander<'a> {
-    /// Creates an expander for pieces of `scene`; `blur` comes from [`mirror_blur`]. Without it, mirrored pieces stay sharp.
-    pub const fn new(scene: &'a Scene, blur: Option<&'a MirrorBlur>) -> Self {
-        Self { scene, blur, layer: Vec::new(), of: None }
+    /// Creates an expander for pieces of `scene`; `colours` come from [`border_colours`]. Without them, mirrored pieces keep their own.
+    pub const fn new(scene: &'a Scene, colours: Option<&'a BorderColours>) -> Self {
+        Self { scene, colours, layer: Vec::new() }
     }
 
     /// Rows of a piece's texels, from the top. Each row runs from left to right of the layer: backward if the piece is mirrored in x.
     pub fn rows(&mut self, piece: &Piece) -> impl Iterator<Item = &[[u8; 4]]> {
-        let Self { scene, blur, layer, of } = self;
-        if *of != Some((piece.layer, piece.mirrored)) {
-            layer.clear();
-            if let Some(blur) = blur.filter(|_| piece.is_mirrored()) {
-                let (width, photo) = (scene.photo.width as usize, &scene.photo.rgb);
-                let own = |x: usize, y: usize, count: usize| &photo[y * width + x..][..count];
-                scene.expand_layer_with(piece.layer, |x, y, n, row| blur.row(x, y, own(x, y, n), piece.mirrored, row), layer);
-            } else {
-                scene.expand_layer(piece.layer, layer);
+        let Self { scene, colours, layer } = self;
+        layer.clear();
+        scene.expand_layer(piece.layer, layer);
+        if let Some(colours) = colours.filter(|_| piece.is_mirrored()) {
+            let own = &scene.layers[piece.layer];
+            let ([first, above], [count, height]) = (piece.first.map(|v| v as usize), piece.size.map(|v| v as usize));
+            let (x, y, width) = (own.rect.x as usize + first, own.rect.y as usize, own.rect.w as usize);
+            let rows = layer.chunks_mut(width).zip(scene.texels.class[own.first_texel..].chunks(width)).zip(y..);
+            for ((row, class), y) in rows.skip(above).take(height) {
+                let (row, class) = (&mut row[first..first + count], &class[first..first + count]);
+                colours.recolour((x, y), piece.mirrored, class, row);
             }
-            *of = Some((piece.layer, piece.mirrored));
         }
         let mut rows = piece.rows(scene, layer);
-        let upwards = piece.mirrored[1];
+        let upwards = piece.mirrored[1].is_some();
         std::iter::from_fn(move || if upwards { rows.next_back() } else { rows.next() })
     }
 
     /// Appends a piece's texels to `out`, row-major.
     pub fn append(&mut self, piece: &Piece, out: &mut Vec<[u8; 4]>) {
         for row in self.rows(piece) {
-            if piece.mirrored[0] { out.extend(row.iter().rev()) } else { out.extend_from_slice(row) }
+            if piece.mirrored[0].is_some() { out.extend(row.iter().rev()) } else { out.extend_from_slice(row) }
         }
     }
 }
 
-/// The blur of a scene's mirrored pieces; `None` if the scene has no such pieces.
-pub(super) fn mirror_blur(scene: &Scene, pieces: &[Piece]) -> Option<MirrorBlur> {
+/// The colours of a scene's mirrored pieces; `None` if the scene has no such pieces.
+pub(super) fn border_colours(scene: &Scene, pieces: &[Piece]) -> Option<BorderColours> {
     let size = [scene.photo.width, scene.photo.height];
-    pieces.iter().any(Piece::is_mirrored).then(|| MirrorBlur::new(&scene.photo.rgb, size, 0))
+    pieces.iter().any(Piece::is_mirrored).then(|| BorderColours::new(&scene.photo.rgb, size, 0))
 }
 
 /// All pieces of a scene, in layer order; each layer's own piece comes first.
@@ -173,7 +173,8 @@ fn sides(from: u32, size: u32, drawn: [f64; 2], length: u32, margin: u32) -> [Op
         [f64::from(size) - to, f64::from(size) - from]
     };
     let low = end.min(margin).checked_sub(from).filter(|&n| n > 0);
-    let low = low.map(|size| Side { corner: -i64::from(from + size), size, first: 0, drawn: back(0, size), mirror: Some(0) });
+    let low =
+        low.map(|size| Side { corner: -i64::from(from + size), size, first: 0, drawn: back(0, size), mirror: Some((Border::Low, 0)) });
     let start = from.max(length.saturating_sub(margin));
     let high = end.checked_sub(start).filter(|&n| n > 0);
     let twice = 2 * i64::from(length);
@@ -182,7 +183,7 @@ fn sides(from: u32, size: u32, drawn: [f64; 2], length: u32, margin: u32) -> [Op
         size,
         first: start - from,
         drawn: back(start - from, size),
-        mirror: Some(twice),
+        mirror: Some((Border::High, twice)),
     });
     [Some(own), low, high].map(|side| side.filter(|s| s.drawn[0] < s.drawn[1]))
 }
@@ -243,6 +244,7 @@ pub fn looking_at(pivot: f64, tx: f64, ty: f64, tz: f64) -> Pose {
 mod tests {
     use super::super::testing;
     use super::*;
+    use tmpi_core::Class;
 
     #[test]
     fn a_layer_is_mirrored_at_each_border_that_it_is_near() {
@@ -257,8 +259,8 @@ mod tests {
         let area = |p: &Piece| p.size[0] as usize * p.size[1] as usize;
         let outside: usize = all[1..].iter().map(area).sum();
         assert_eq!(outside, (100 + 2 * x as usize) * (60 + 2 * y as usize) - 6000);
-        // mirrored: the disparity is continuous across the border, and texels repeat there but for their blur
-        let blur = mirror_blur(&scene, &all).unwrap();
+        // mirrored: the disparity is continuous across the border, and colours continue
+        let colours = border_colours(&scene, &all).unwrap();
         let half = scene.grid.half();
         for p in &all {
             let own = &all[0];
@@ -268,11 +270,14 @@ mod tests {
             let want = delta(own, reflected(at[0], 100.0), reflected(at[1], 60.0));
             assert!((delta(p, at[0], at[1]) - want).abs() < 1e-12, "{p:?}");
             let mut texels = Vec::new();
-            Expander::new(&scene, Some(&blur)).append(p, &mut texels);
+            Expander::new(&scene, Some(&colours)).append(p, &mut texels);
             let (x, y) = (reflected(at[0], 100.0) as usize, reflected(at[1], 60.0) as usize);
-            let mut want = Vec::new();
-            blur.row(x, y, &scene.photo.rgb[y * 100 + x..][..1], p.mirrored, &mut want);
-            assert_eq!((texels.len(), &texels[0][..3]), (area(p), &want[0][..]));
+            let [r, g, b] = scene.photo.at(x as u32, y as u32);
+            let mut want = [[r, g, b, 255]];
+            if p.is_mirrored() {
+                colours.recolour((x, y), p.mirrored, &[Class::Photo as u8], &mut want);
+            }
+            assert_eq!((texels.len(), texels[0]), (area(p), want[0]));
         }
     }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::border::{Expander, mirror_blur, pieces};
+use super::border::{Expander, border_colours, pieces};
 use super::layer_footprint::Footprint;
 use super::{RenderError, Renderer, View, check};
 use tmpi_core::{Camera, Scene};
@@ -39,8 +39,8 @@ impl Renderer for Reference {
         check(camera)?;
         scene.validate()?;
         let pieces = pieces(scene);
-        let blur = mirror_blur(scene, &pieces);
-        let mut expander = Expander::new(scene, blur.as_ref());
+        let colours = border_colours(scene, &pieces);
+        let mut expander = Expander::new(scene, colours.as_ref());
         let projected: Vec<ProjectedPiece> = (pieces.iter().enumerate())
             .filter_map(|(index, piece)| {
                 let footprint = Footprint::new(scene, piece, camera)?;

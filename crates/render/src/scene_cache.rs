@@ -2,10 +2,10 @@
 
 use std::sync::{Arc, Weak};
 
-use tmpi_core::{MirrorBlur, Scene, SceneError};
+use tmpi_core::{BorderColours, Scene, SceneError};
 
 use super::OPAQUE;
-use super::border::{Expander, Piece, mirror_blur, pieces};
+use super::border::{Expander, Piece, border_colours, pieces};
 use super::cpu::ReferenceView;
 
 /// Which drawing passes a piece's texels need.
@@ -64,12 +64,12 @@ pub(super) struct ExpandedScene {
 }
 
 impl ExpandedScene {
-    /// Validates and expands `scene`; `blurred` blurs mirrored pieces.
-    pub fn new(scene: &Scene, blurred: bool) -> Result<Self, SceneError> {
+    /// Validates and expands `scene`; if `continued`, mirrored pieces continue the colours at the borders.
+    pub fn new(scene: &Scene, continued: bool) -> Result<Self, SceneError> {
         scene.validate()?;
         let pieces = pieces(scene);
-        let blur = if blurred { mirror_blur(scene, &pieces) } else { None };
-        Ok(Self::of(scene, pieces, blur.as_ref()))
+        let colours = if continued { border_colours(scene, &pieces) } else { None };
+        Ok(Self::of(scene, pieces, colours.as_ref()))
     }
 
     /// Validates and expands what the photo's own position sees of `scene`, without mirrored pieces.
@@ -80,7 +80,7 @@ impl ExpandedScene {
         Ok(Self::of(scene, pieces, None))
     }
 
-    fn of(scene: &Scene, pieces: Vec<Piece>, blur: Option<&MirrorBlur>) -> Self {
+    fn of(scene: &Scene, pieces: Vec<Piece>, colours: Option<&BorderColours>) -> Self {
         let contents: Vec<Content> = pieces.iter().map(|p| Content::of(p.alphas(scene))).collect();
         let drawn = |i: usize| contents[i].opaque || contents[i].soft;
         let mut first = Vec::with_capacity(pieces.len());
@@ -106,7 +106,7 @@ impl ExpandedScene {
             parts.push((piece, own));
             rest = after;
         }
-        expand(scene, blur, parts, count);
+        expand(scene, colours, parts, count);
         Self { pieces, texels, first, order, reference: ReferenceView::default() }
     }
 
@@ -121,10 +121,10 @@ impl ExpandedScene {
 /// Expands the texels of pieces, `count` in total, into their slices.
 ///
 /// Uses its own threads, not rayon's: a rayon thread may wait for this scene while it holds what this function waits for.
-fn expand(scene: &Scene, blur: Option<&MirrorBlur>, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
+fn expand(scene: &Scene, colours: Option<&BorderColours>, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(count / THREAD_TEXELS);
     if threads < 2 {
-        return expand_some(scene, blur, &mut parts);
+        return expand_some(scene, colours, &mut parts);
     }
     std::thread::scope(|scope| {
         let mut rest = &mut parts[..];
@@ -137,21 +137,21 @@ fn expand(scene: &Scene, blur: Option<&MirrorBlur>, mut parts: Vec<(&Piece, &mut
             let (some, after) = rest.split_at_mut(enough.map_or(rest.len(), |i| i + 1));
             rest = after;
             if rest.is_empty() {
-                expand_some(scene, blur, some);
+                expand_some(scene, colours, some);
             } else {
-                scope.spawn(|| expand_some(scene, blur, some));
+                scope.spawn(|| expand_some(scene, colours, some));
             }
         }
     });
 }
 
-fn expand_some(scene: &Scene, blur: Option<&MirrorBlur>, parts: &mut [(&Piece, &mut [[u8; 4]])]) {
-    let mut expander = Expander::new(scene, blur);
+fn expand_some(scene: &Scene, colours: Option<&BorderColours>, parts: &mut [(&Piece, &mut [[u8; 4]])]) {
+    let mut expander = Expander::new(scene, colours);
     for (piece, out) in parts {
         let width = piece.size[0] as usize;
         for (row, out) in expander.rows(piece).zip(out.chunks_mut(width + 1)) {
             out[..width].copy_from_slice(row);
-            if piece.mirrored[0] {
+            if piece.mirrored[0].is_some() {
                 out[..width].reverse();
             }
             out[width] = out[width - 1];
@@ -246,11 +246,11 @@ mod tests {
         let scene = discs(640, 480).1;
         let expanded = ExpandedScene::new(&scene, true).unwrap();
         assert!(expanded.texels.len() > 3 * THREAD_TEXELS && expanded.pieces.iter().any(Piece::is_mirrored));
-        let blur = mirror_blur(&scene, &expanded.pieces);
+        let colours = border_colours(&scene, &expanded.pieces);
         for &i in &expanded.order {
             let (piece, first) = (&expanded.pieces[i], expanded.first[i]);
             let mut own = Vec::new();
-            Expander::new(&scene, blur.as_ref()).append(piece, &mut own);
+            Expander::new(&scene, colours.as_ref()).append(piece, &mut own);
             let (w, h) = (piece.size[0] as usize, piece.size[1] as usize);
             let texel = |i: usize| own[(i / (w + 1)).min(h - 1) * w + (i % (w + 1)).min(w - 1)];
             assert!((0..padded(piece)).all(|i| expanded.texels[first + i] == texel(i)), "{piece:?}");

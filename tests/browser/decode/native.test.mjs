@@ -7,7 +7,7 @@ import { tmpdir } from 'node:os';
 import { dirname, join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { readHead } from '../../../static/decode/head.js';
-import { pieces } from '../../../static/draw/border.js';
+import { mirrorFlags, pieces } from '../../../static/draw/border.js';
 import { pack } from '../../../static/draw/texture-atlas.js';
 import { decodeTexels, sceneDigest } from '../support/decoder.mjs';
 import { lab, program } from '../support/program.mjs';
@@ -32,8 +32,8 @@ function stripsOf(head, layers) {
   const { bands, width } = pack(all);
   return bands.map(({ pieces: own, x, h: height }) => {
     const numbers = own.flatMap((i, k) => {
-      const { layer, u, v, w, h, flipX, flipY } = all[i];
-      return [layer, u, v, w, h, Number(flipX) + 2 * Number(flipY), x[k]];
+      const { layer, u, v, w, h } = all[i];
+      return [layer, u, v, w, h, mirrorFlags(all[i]), x[k]];
     });
     return { width, height, numbers };
   });

@@ -1,7 +1,7 @@
 // Instance data for the shaders.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { pieces } from '../../../static/draw/border.js';
+import { mirrorFlags, pieces } from '../../../static/draw/border.js';
 import { INSTANCE_FLOATS, instances, withErrors } from '../../../static/draw/instances.js';
 import { pack } from '../../../static/draw/texture-atlas.js';
 import { boxContainer } from '../support/container.mjs';
@@ -26,6 +26,12 @@ describe('instances', async () => {
     assert.ok(soft > 10, `${soft} soft pieces`);
     all.forEach((p, i) => assert.deepEqual([read(data, i).x, read(data, i).y], [p.x + p.left, p.y + p.upper]));
     for (let i = 1; i < soft; i++) assert.ok(delta(read(data, opaque + i - 1)) <= delta(read(data, opaque + i)) + 1e-6, `${i}`);
+  });
+
+  test('names the borders at which a piece is mirrored', () => {
+    const flags = (/** @type {number} */ x, /** @type {number} */ y, flipX = false, flipY = false) => mirrorFlags({ x, y, flipX, flipY });
+    assert.deepEqual([flags(-5, 3, true), flags(100, 3, true), flags(3, -5, false, true), flags(3, 60, false, true)], [1, 5, 2, 10]);
+    assert.deepEqual([flags(-5, 60, true, true), flags(3, 3)], [11, 0]);
   });
 
   test('stores a tile’s error as a fraction of the page', () => {

@@ -2,7 +2,7 @@
 
 use super::{PhotoRows, TileLayers};
 use crate::scene::packed_rgb;
-use crate::{Class, Layer, MirrorBlur};
+use crate::{Border, BorderColours, Class, Layer};
 
 /// A rectangle of a layer, and its position in a strip.
 #[derive(Clone, Copy, Debug)]
@@ -13,21 +13,25 @@ pub struct Piece {
     pub from: (usize, usize),
     /// Number of columns and rows.
     pub size: (usize, usize),
-    /// True if columns, rows are reversed.
-    pub mirrored: (bool, bool),
+    /// The borders at which columns, rows are mirrored.
+    pub mirrored: [Option<Border>; 2],
     /// First column in the strip; the first row is 0.
     pub x: usize,
 }
 
 impl Piece {
-    /// Number of integers that encode a piece: layer, first column, first row, columns, rows, mirrored (1: columns, 2: rows), column in the
-    /// strip.
+    /// Number of integers that encode a piece: layer, first column, first row, columns, rows, mirrored (1: columns, at the left border; 2:
+    /// rows, at the upper border; 4, 8: at the right, at the lower border instead), column in the strip.
     pub const NUMBERS: usize = 7;
 
     /// Decodes a piece from [`Self::NUMBERS`] integers.
     pub fn of(n: &[u32; Self::NUMBERS]) -> Self {
         let [layer, u, v, w, h, flags, x] = n.map(|n| n as usize);
-        Self { layer, from: (u, v), size: (w, h), mirrored: (flags & 1 != 0, flags & 2 != 0), x }
+        let at = |axis: usize| {
+            let border = if flags & 4 << axis == 0 { Border::Low } else { Border::High };
+            (flags & 1 << axis != 0).then_some(border)
+        };
+        Self { layer, from: (u, v), size: (w, h), mirrored: [at(0), at(1)], x }
     }
 
     /// True if the piece lies within its layer and within a strip.
@@ -40,11 +44,11 @@ impl Piece {
     }
 }
 
-/// Renders pieces into a strip of `size` (width, height): RGBA, row by row, straight or premultiplied. `blur` must have the same rows as
+/// Renders pieces into a strip of `size` (width, height): RGBA, row by row, straight or premultiplied. `beyond` must have the same rows as
 /// `photo`. `None` if a piece does not fit.
 pub fn strip(
     part: &TileLayers,
-    (photo, blur): (&PhotoRows, &MirrorBlur),
+    (photo, beyond): (&PhotoRows, &BorderColours),
     pieces: impl Iterator<Item = Piece>,
     size: (usize, usize),
     straight: bool,
@@ -52,13 +56,7 @@ pub fn strip(
     let mut out = vec![[0; 4]; size.0.checked_mul(size.1)?];
     for piece in pieces {
         let layer = part.layers.get(piece.layer).filter(|layer| piece.fits(layer, size))?;
-        let rows = Rows { photo, words: Vec::new() };
-        if piece.mirrored == (false, false) {
-            expand(part, layer, &piece, &mut { rows }, &mut out, size.0);
-        } else {
-            let mirrored = [piece.mirrored.0, piece.mirrored.1];
-            expand(part, layer, &piece, &mut Blurred { rows, blur, mirrored, rgb: Vec::new() }, &mut out, size.0);
-        }
+        expand(part, layer, &piece, &mut Rows { photo, words: Vec::new() }, Some(beyond), &mut out, size.0);
     }
     if !straight {
         out.iter_mut().for_each(premultiply);
@@ -70,8 +68,8 @@ pub fn strip(
 pub(crate) fn texels(part: &TileLayers, layer: &Layer, (photo, width): (&[u32], usize), out: &mut Vec<[u8; 4]>) {
     let (from, size) = (out.len(), (layer.rect.w as usize, layer.rect.h as usize));
     out.resize(from + size.0 * size.1, [0; 4]);
-    let piece = Piece { layer: 0, from: (0, 0), size, mirrored: (false, false), x: 0 };
-    expand(part, layer, &piece, &mut Words { photo, width }, &mut out[from..], size.0);
+    let piece = Piece { layer: 0, from: (0, 0), size, mirrored: [None; 2], x: 0 };
+    expand(part, layer, &piece, &mut Words { photo, width }, None, &mut out[from..], size.0);
     let own = layer.first_texel..layer.first_texel + layer.rect.area();
     // empty texels are 0 already
     if part.texels.alpha[own].iter().any(|a| (1..u8::MAX).contains(a)) {
@@ -91,37 +89,14 @@ struct Rows<'a> {
     words: Vec<u32>,
 }
 
-impl Rows<'_> {
-    fn rgb(&self, x: usize, y: usize, count: usize) -> &[[u8; 3]] {
-        &self.photo.rgb[(y - self.photo.top as usize) * self.photo.width as usize + x..][..count]
-    }
-}
-
 impl Colours for Rows<'_> {
     fn row(&mut self, x: usize, y: usize, count: usize) -> &[u32] {
         let mut words = std::mem::take(&mut self.words);
         words.resize(count, 0);
-        packed_rgb::words(self.rgb(x, y, count), &mut words);
+        let from = (y - self.photo.top as usize) * self.photo.width as usize + x;
+        packed_rgb::words(&self.photo.rgb[from..from + count], &mut words);
         self.words = words;
         &self.words
-    }
-}
-
-/// Colours that continue the photo beyond its borders.
-struct Blurred<'a> {
-    rows: Rows<'a>,
-    blur: &'a MirrorBlur,
-    mirrored: [bool; 2],
-    rgb: Vec<[u8; 3]>,
-}
-
-impl Colours for Blurred<'_> {
-    fn row(&mut self, x: usize, y: usize, count: usize) -> &[u32] {
-        self.rgb.clear();
-        self.blur.row(x, y, self.rows.rgb(x, y, count), self.mirrored, &mut self.rgb);
-        self.rows.words.resize(count, 0);
-        packed_rgb::words(&self.rgb, &mut self.rows.words);
-        &self.rows.words
     }
 }
 
@@ -137,7 +112,16 @@ impl Colours for Words<'_> {
     }
 }
 
-fn expand(part: &TileLayers, l: &Layer, piece: &Piece, photo: &mut dyn Colours, out: &mut [[u8; 4]], width: usize) {
+/// Writes a piece to `out`, `width` texels to a row. `beyond` colours mirrored texels.
+fn expand(
+    part: &TileLayers,
+    l: &Layer,
+    piece: &Piece,
+    photo: &mut dyn Colours,
+    beyond: Option<&BorderColours>,
+    out: &mut [[u8; 4]],
+    width: usize,
+) {
     let (w, h) = piece.size;
     let hidden_of = |class: &[u8]| class.iter().filter(|&&c| c == Class::Hidden as u8).count();
     let texel = |v: usize| l.first_texel + v * l.rect.w as usize;
@@ -150,12 +134,15 @@ fn expand(part: &TileLayers, l: &Layer, piece: &Piece, photo: &mut dyn Colours, 
         let (class, after) = class.split_at(w);
         hidden += hidden_of(before);
         let alpha = &part.texels.alpha[texel(y) + piece.from.0..][..w];
-        let row = if piece.mirrored.1 { h - 1 - v } else { v };
+        let row = if piece.mirrored[1].is_some() { h - 1 - v } else { v };
         let to = &mut out[row * width + piece.x..][..w];
         let colours = &part.texels.hidden[hidden..];
-        let photo = photo.row(l.rect.x as usize + piece.from.0, l.rect.y as usize + y, w);
-        hidden += fill(class, alpha, photo, colours, to) + hidden_of(after);
-        if piece.mirrored.0 {
+        let place = (l.rect.x as usize + piece.from.0, l.rect.y as usize + y);
+        hidden += fill(class, alpha, photo.row(place.0, place.1, w), colours, to) + hidden_of(after);
+        if let Some(beyond) = beyond.filter(|_| piece.mirrored != [None; 2]) {
+            beyond.recolour(place, piece.mirrored, class, to);
+        }
+        if piece.mirrored[0].is_some() {
             to.reverse();
         }
     }
@@ -219,17 +206,17 @@ mod tests {
         assert!(whole.iter().any(|t| t[3] > 0 && t[3] < 255));
         let top = 2;
         let rows = PhotoRows { width, height, top, rgb: photo.rgb[(top * width) as usize..].to_vec() };
-        let blur = MirrorBlur::new(&rows.rgb, [width, height], top);
+        let beyond = BorderColours::new(&rows.rgb, [width, height], top);
         for (u, v) in (0..7).flat_map(|u| (0..5).map(move |v| (u, v))) {
-            let piece = Piece { layer: 0, from: (u, v), size: (7 - u, 5 - v), mirrored: (false, false), x: 1 };
-            let strip = strip(&part, (&rows, &blur), std::iter::once(piece), (9, 5), false).unwrap();
+            let piece = Piece { layer: 0, from: (u, v), size: (7 - u, 5 - v), mirrored: [None; 2], x: 1 };
+            let strip = strip(&part, (&rows, &beyond), std::iter::once(piece), (9, 5), false).unwrap();
             for (x, y) in (0..9).flat_map(|x| (0..5).map(move |y| (x, y))) {
                 let within = (1..8 - u).contains(&x) && y < 5 - v;
                 let want = if within { whole[(v + y) * 7 + u + x - 1] } else { [0; 4] };
                 assert_eq!(strip[y * 9 + x], want, "texel {x}, {y} of the piece from {u}, {v}");
             }
         }
-        let outside = Piece { layer: 0, from: (1, 1), size: (7, 4), mirrored: (false, false), x: 0 };
-        assert!(strip(&part, (&rows, &blur), std::iter::once(outside), (9, 5), false).is_none());
+        let outside = Piece { layer: 0, from: (1, 1), size: (7, 4), mirrored: [None; 2], x: 0 };
+        assert!(strip(&part, (&rows, &beyond), std::iter::once(outside), (9, 5), false).is_none());
     }
 }

@@ -173,22 +173,13 @@ impl Scene {
 
     /// Appends the RGBA texels of layer `index` with straight alpha to `out`, row-major in the layer's rectangle; empty texels are 0.
     pub fn expand_layer(&self, index: usize, out: &mut Vec<[u8; 4]>) {
-        let (width, photo) = (self.photo.width as usize, &self.photo.rgb);
-        self.expand_layer_with(index, |x, y, count, row| row.extend_from_slice(&photo[y * width + x..][..count]), out);
-    }
-
-    /// Like [`Self::expand_layer`], with other colours for visible texels: `colours(x, y, count, row)` appends the colours of `count`
-    /// pixels of the photo from `(x, y)` on.
-    pub fn expand_layer_with(&self, index: usize, colours: impl Fn(usize, usize, usize, &mut Vec<[u8; 3]>), out: &mut Vec<[u8; 4]>) {
         let l = &self.layers[index];
         let mut hidden = self.texels.hidden[l.first_hidden..].iter();
         let own = l.first_texel..l.first_texel + l.rect.area();
         let (class, alpha) = (&self.texels.class[own.clone()], &self.texels.alpha[own]);
         let width = l.rect.w as usize;
-        let mut visible = Vec::with_capacity(width);
-        for (y, (class, alpha)) in (l.rect.y..).zip(class.chunks(width).zip(alpha.chunks(width))) {
-            visible.clear();
-            colours(l.rect.x as usize, y as usize, width, &mut visible);
+        for (y, (class, alpha)) in (l.rect.y as usize..).zip(class.chunks(width).zip(alpha.chunks(width))) {
+            let visible = &self.photo.rgb[y * self.photo.width as usize + l.rect.x as usize..][..width];
             out.extend(visible.iter().zip(class.iter().zip(alpha)).map(|(p, (&c, &a))| {
                 let [r, g, b] = match c {
                     c if c == Class::Photo as u8 => *p,

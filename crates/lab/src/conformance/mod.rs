@@ -1,6 +1,7 @@
 //! Stiff and extreme cases: every numerical kernel against a plain `f64` reference, each case with the bound that it must hold
 //! and the error that it has (DESIGN, section 7).
 
+mod border_colours_reference;
 mod clustering;
 mod colours;
 mod compositing;
@@ -11,7 +12,6 @@ mod live_depth;
 mod live_motion;
 mod map_filters;
 mod matting;
-mod mirror_blur_reference;
 mod photos;
 mod quantisation;
 mod raycast;

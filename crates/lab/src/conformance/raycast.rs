@@ -5,8 +5,8 @@
 
 use rayon::prelude::*;
 
-use super::mirror_blur_reference::Blur;
-use tmpi_core::{Camera, Class, Pose, Scene};
+use super::border_colours_reference::Continued;
+use tmpi_core::{Border, Camera, Class, Pose, Scene};
 use tmpi_render::{NEAR, OPAQUE, border_margin};
 
 /// A layer, unpacked, at its own place or mirrored beyond the photo's borders: there the ray is mirrored instead.
@@ -61,8 +61,8 @@ pub fn cast_in_layer_order(scene: &Scene, camera: &Camera) -> Vec<[f64; 4]> {
 /// What each pixel's ray meets, brought into order from front to back, and blended.
 fn cast_in(scene: &Scene, camera: &Camera, order: impl Fn(&mut Vec<Hit>) + Sync) -> Vec<[f64; 4]> {
     let margin = border_margin(scene);
-    let blur = Blur::new(&scene.photo);
-    let sheets: Vec<Sheet> = (0..scene.layers.len()).flat_map(|i| sheets(scene, i, margin, &blur)).collect();
+    let continued = Continued::new(&scene.photo);
+    let sheets: Vec<Sheet> = (0..scene.layers.len()).flat_map(|i| sheets(scene, i, margin, &continued)).collect();
     let (k, out) = (&scene.intrinsics, &camera.intrinsics);
     let pixel = |p: [f64; 3]| [k.fx * p[0] + k.cx * p[2], k.fy * p[1] + k.cy * p[2], p[2]];
     let place = pixel([camera.pose.tx, camera.pose.ty, camera.pose.tz]);
@@ -104,7 +104,7 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
 }
 
 /// A layer and its mirror images within `margin` of the photo's borders.
-fn sheets(scene: &Scene, index: usize, margin: [u32; 2], blur: &Blur) -> Vec<Sheet> {
+fn sheets(scene: &Scene, index: usize, margin: [u32; 2], continued: &Continued) -> Vec<Sheet> {
     let (l, grid) = (&scene.layers[index], &scene.grid);
     // first pixel, the one after the last, and the mirror
     let parts = |from: u32, size: u32, length: u32, margin: u32| {
@@ -119,13 +119,13 @@ fn sheets(scene: &Scene, index: usize, margin: [u32; 2], blur: &Blur) -> Vec<She
         let texel = |(y, x): (u32, u32)| {
             let at = ((y - l.rect.y) * l.rect.w + x - l.rect.x) as usize;
             let own = whole.texels[at];
-            if scene.texels.class[l.first_texel + at] != Class::Photo as u8 {
+            let class = scene.texels.class[l.first_texel + at];
+            if mx.or(my).is_none() || class == Class::Empty as u8 {
                 return own;
             }
-            // from the nearer border, also where the photo is so narrow that the image of the other one reaches past its middle
-            let beyond = [(mx, x, grid.width), (my, y, grid.height)]
-                .map(|(mirror, at, size)| mirror.map_or(0.0, |_| f64::from(at.min(size - 1 - at)) + 0.5));
-            let [r, g, b] = if mx.or(my).is_some() { blur.colour(x, y, beyond[0].max(beyond[1])) } else { [own[0], own[1], own[2]] };
+            let border = |mirror: Option<f64>| mirror.map(|twice| if twice > 0.0 { Border::High } else { Border::Low });
+            let hidden = (class == Class::Hidden as u8).then_some([own[0], own[1], own[2]]);
+            let [r, g, b] = continued.texel([x, y], [border(mx), border(my)], hidden);
             [r, g, b, own[3]]
         };
         let texels = (y0..y1).flat_map(|y| (x0..x1).map(move |x| (y, x))).map(texel).collect();

@@ -8,7 +8,10 @@ mod kernel;
 mod label_smoothing;
 mod reader_bounds;
 mod sample;
+mod tile_borders;
 mod warm_start;
+
+use std::cmp::Ordering;
 
 use rayon::prelude::*;
 
@@ -18,6 +21,7 @@ pub(crate) use k_planes::fit_points;
 pub use label_smoothing::{NEIGHBOUR_COST, smooth_labels};
 pub use sample::Samples;
 pub(crate) use sample::percentile_99;
+pub use tile_borders::meet_at_borders;
 use tmpi_core::{DisparityMap, Grid, Plane, Tile};
 pub use warm_start::{place_again, place_tile_from};
 
@@ -139,13 +143,22 @@ fn place_tile_rounded(samples: &Samples, placement: &Placement) -> Rounded {
     finish(samples, best, placement)
 }
 
+/// Largest difference of two planes anywhere on a tile, in δ: `u` and `v` run from −1 to 1, so the three differences add up in one of the
+/// tile's corners.
+fn largest_change(p: &Plane, q: &Plane) -> f64 {
+    (p.a - q.a).abs() + (p.b - q.b).abs() + (p.c - q.c).abs()
+}
+
+/// The order of a tile's planes, by disparity at its centre.
+fn far_to_near(p: &Plane, q: &Plane) -> Ordering {
+    p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c))
+}
+
 /// Rounds planes to the container's grid of coefficients, sorts them, labels the pixels and drops planes without pixels.
 fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Rounded {
-    // u and v run from -1 to 1, so the three differences add up in one of the tile's corners
-    let change = |p: &Plane, q: &Plane| (p.a - q.a).abs() + (p.b - q.b).abs() + (p.c - q.c).abs();
-    let rounding = planes.iter().map(|p| change(p, &p.quantised())).fold(0.0, f64::max);
+    let rounding = planes.iter().map(|p| largest_change(p, &p.quantised())).fold(0.0, f64::max);
     let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
-    planes.sort_by(|p, q| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c)));
+    planes.sort_by(far_to_near);
     planes.dedup();
     let (mut nearest, mut error) = (Vec::new(), Vec::new());
     samples.assign(&planes, &mut nearest, &mut error);

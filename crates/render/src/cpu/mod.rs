@@ -38,7 +38,7 @@ type Slot = Arc<OnceLock<Result<Arc<ExpandedScene>, SceneError>>>;
 #[derive(Debug)]
 pub struct Cpu {
     scenes: Mutex<SceneCache<Slot>>,
-    blurred: bool,
+    continued: bool,
 }
 
 impl Cpu {
@@ -47,13 +47,13 @@ impl Cpu {
 
     /// Creates a backend that keeps at most `cache_bytes` of expanded texels, but always those of the last scene.
     pub fn new(cache_bytes: usize) -> Self {
-        Self { scenes: Mutex::new(SceneCache::new(cache_bytes)), blurred: true }
+        Self { scenes: Mutex::new(SceneCache::new(cache_bytes)), continued: true }
     }
 
-    /// The same backend without blur of the mirror image beyond the photo's borders. It is faster; use it for views that you only compare
-    /// with each other.
+    /// The same backend with a mirror image beyond the photo's borders instead of continued colours. It is faster; use it for views that you
+    /// only compare with each other.
     pub fn sharp_beyond_borders(self) -> Self {
-        Self { blurred: false, ..self }
+        Self { continued: false, ..self }
     }
 
     fn expanded(&self, scene: &Arc<Scene>) -> Result<Arc<ExpandedScene>, SceneError> {
@@ -63,7 +63,7 @@ impl Cpu {
             slot.unwrap_or_else(|| Arc::clone(scenes.insert(scene, ExpandedScene::bytes(scene), Slot::default)))
         };
         // outside the lock: other scenes can proceed, and several views of a new scene expand it once
-        slot.get_or_init(|| ExpandedScene::new(scene, self.blurred).map(Arc::new)).clone()
+        slot.get_or_init(|| ExpandedScene::new(scene, self.continued).map(Arc::new)).clone()
     }
 }
 

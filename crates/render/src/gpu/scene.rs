@@ -6,7 +6,7 @@ use wgpu::util::DeviceExt;
 
 use super::device::{COLOUR, Device, WIDE};
 use super::texture_atlas::{Packing, pack};
-use crate::border::{Expander, Piece, mirror_blur, pieces};
+use crate::border::{Expander, Piece, border_colours, pieces};
 use crate::scene_cache::{Content, back_to_front};
 use crate::{OPAQUE, RenderError};
 use tmpi_core::Scene;
@@ -147,8 +147,8 @@ impl Plan {
         let p = &self.packing;
         let texture = device.atlas(p.width, p.height, p.pages, format);
         let mut page = vec![T::zeroed(); p.width as usize * p.height as usize];
-        let (blur, mut texels) = (mirror_blur(scene, &self.pieces), Vec::new());
-        let mut expander = Expander::new(scene, blur.as_ref());
+        let (colours, mut texels) = (border_colours(scene, &self.pieces), Vec::new());
+        let mut expander = Expander::new(scene, colours.as_ref());
         for number in 0..p.pages {
             for (piece, position) in self.pieces.iter().zip(&p.positions).filter(|(_, position)| position.page == number) {
                 texels.clear();
