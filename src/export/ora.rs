@@ -86,7 +86,7 @@ pub fn ora(scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, Expor
 fn bounds(delta: &[f32]) -> Vec<f32> {
     let table = ClusterTable::new(delta, &vec![1.0; delta.len()], *BANDS.end());
     let count = (*BANDS.start()..=*BANDS.end()).find(|n| table.deviation(*n) <= SPREAD).unwrap_or(*BANDS.end());
-    table.centres(count).windows(2).map(|pair| ((pair[0] + pair[1]) / 2.0) as f32).collect()
+    table.centres(count).windows(2).map(|pair| (f64::midpoint(pair[0], pair[1])) as f32).collect()
 }
 
 fn element(name: &str, file: &str, shown: bool) -> String {

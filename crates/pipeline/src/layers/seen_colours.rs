@@ -25,7 +25,7 @@ pub struct Seen {
 /// Gives hidden texels the colours that `picture`, the second one of a pair, shows of them, if it shows enough. `delta` is the disparity map
 /// of the first. The layers must not be matted.
 pub fn recolour((eye, picture): (&SecondEye, &Photo), geometry: &Geometry, delta: &DisparityMap, tiles: &mut [Vec<TexturedLayer>]) -> Seen {
-    let of_layer = |tile: usize, layer| Layer { grid: &geometry.grid, tile: tile as u32, layer, delta }.seen(eye, picture);
+    let of_layer = |tile: usize, textured| Layer { grid: &geometry.grid, tile: tile as u32, textured, delta }.seen(eye, picture);
     let found: Vec<(usize, Vec<[u8; 3]>)> =
         tiles.par_iter().enumerate().flat_map_iter(|(tile, layers)| layers.iter().map(move |layer| of_layer(tile, layer))).collect();
     let hidden: usize = tiles.iter().flatten().map(|layer| layer.hidden.len()).sum();
@@ -43,14 +43,14 @@ pub fn recolour((eye, picture): (&SecondEye, &Photo), geometry: &Geometry, delta
 struct Layer<'a> {
     grid: &'a Grid,
     tile: u32,
-    layer: &'a TexturedLayer,
+    textured: &'a TexturedLayer,
     delta: &'a DisparityMap,
 }
 
 impl Layer<'_> {
     /// Number of hidden texels that the second picture shows, and the colours of all; no colours if it shows none.
     fn seen(&self, eye: &SecondEye, picture: &Photo) -> (usize, Vec<[u8; 3]>) {
-        let TexturedLayer { shape, hidden } = self.layer;
+        let TexturedLayer { shape, hidden } = self.textured;
         if hidden.is_empty() {
             return (0, Vec::new());
         }

@@ -72,11 +72,11 @@ fn fill_hidden(measured: &mut [f32], w: usize) {
             if !row[x].is_finite() {
                 continue;
             }
-            if let Some(l) = left.filter(|l| x - l > 1) {
-                if is_hidden(x - l - 1, row[x] - row[l]) {
-                    let far = row[l].min(row[x]);
-                    row[l + 1..x].fill(far);
-                }
+            if let Some(l) = left.filter(|l| x - l > 1)
+                && is_hidden(x - l - 1, row[x] - row[l])
+            {
+                let far = row[l].min(row[x]);
+                row[l + 1..x].fill(far);
             }
             left = Some(x);
         }
