@@ -107,5 +107,6 @@ pub fn geometry(script: &mut Script, most_planes: u32) -> Geometry {
         view_box: ViewBox::default(),
         tiles,
         matted: false,
+        short_reach: false,
     }
 }

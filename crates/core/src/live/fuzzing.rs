@@ -20,6 +20,7 @@ pub fn message(data: &[u8]) {
                 view_box: ViewBox::default(),
                 tiles: Vec::new(),
                 matted: false,
+                short_reach: false,
             };
             let Ok(mut model) = TileState::new(&TileState::hello(&empty)) else { return };
             if model.take(&g).is_err() {

@@ -154,7 +154,7 @@ impl Part {
         let intrinsics = Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..*k };
         Self {
             photo: Photo { width: rect.w, height: rect.h, rgb },
-            geometry: Geometry { grid: own, intrinsics, view_box: *view_box, tiles, matted: false },
+            geometry: Geometry { grid: own, intrinsics, view_box: *view_box, tiles, matted: false, short_reach: false },
             tile: (row - rows.start) * own.columns() + column - columns.start,
         }
     }
@@ -236,6 +236,7 @@ mod tests {
             view_box: ViewBox { x: 0.01, y: 0.01, z: 0.0 },
             tiles: vec![tile],
             matted: false,
+            short_reach: false,
         };
         (photo, geometry)
     }
@@ -253,7 +254,7 @@ mod tests {
         };
         let intrinsics = Intrinsics::centred(width, 600, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(width));
         let tiles = (0..grid.tiles()).map(tile).collect();
-        (photo, Geometry { grid, intrinsics, view_box: Options::VIEW_BOX, tiles, matted: false })
+        (photo, Geometry { grid, intrinsics, view_box: Options::VIEW_BOX, tiles, matted: false, short_reach: false })
     }
 
     #[test]
