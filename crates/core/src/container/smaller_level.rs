@@ -129,7 +129,14 @@ mod tests {
         let grid = Grid { width: 8, height: 8, size: 8, stride: 8 };
         let intrinsics = Intrinsics { fx: 7.0, fy: 9.0, cx: 3.0, cy: 5.0 };
         let tile = Tile { planes: planes.clone(), labels: labels.collect(), background: Some(planes[0]) };
-        let whole = Geometry { grid, intrinsics, view_box: ViewBox { x: 0.1, y: 0.2, z: 0.3 }, tiles: vec![tile], matted: false, short_reach: false };
+        let whole = Geometry {
+            grid,
+            intrinsics,
+            view_box: ViewBox { x: 0.1, y: 0.2, z: 0.3 },
+            tiles: vec![tile],
+            matted: false,
+            short_reach: false,
+        };
         let half = halved(&whole).unwrap();
         assert_eq!(half.grid, Grid { width: 4, height: 4, size: 4, stride: 4 });
         assert_eq!(half.intrinsics, Intrinsics { fx: 3.5, fy: 4.5, cx: 1.5, cy: 2.5 });

@@ -112,8 +112,7 @@ impl Geometry {
             let win = grown(r, most, most, &self.grid);
             // where the search ends at the photo's borders, nothing is missed
             let cut = |distance: f64, within: u32, side: u32| distance + MARGIN > f64::from(most) && within < side;
-            (tile.planes.len() > 1 || tile.background.is_some())
-                && (cut(x, win.w, self.grid.width) || cut(y, win.h, self.grid.height))
+            (tile.planes.len() > 1 || tile.background.is_some()) && (cut(x, win.w, self.grid.width) || cut(y, win.h, self.grid.height))
         };
         (0..self.tiles.len() as u32).filter(|t| beyond(*t)).count()
     }

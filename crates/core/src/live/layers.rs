@@ -220,7 +220,7 @@ impl Layers {
             let (since, changes) = (&mut self.since[t as usize], pixels.any(&around) || depth.any(&around));
             *stale |= changes;
             *since = if changes { 0 } else { since.saturating_add(frames.min(MAX_FRAMES)) };
-            let new = (changed[t as usize] || depth.any(&geometry.window(t)))
+            let new = (changed[t as usize] || depth.any(&geometry.window(t, surface)))
                 .then(|| part_of(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
                 .filter(|new| !same_texels(new, part));
             let (reshaped, turn) = (new.is_some(), *stale && its_turn);

@@ -76,7 +76,7 @@ pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, plac
     place_rounded(delta, confidence, grid, placement).into_iter().map(|r| r.tile).collect()
 }
 
-/// [`place`], with the error of rounding planes to the container's grid of coefficients.
+/// [`place`], with the planes before rounding to the container's grid of coefficients.
 pub fn place_rounded(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Rounded> {
     (0..grid.tiles())
         .into_par_iter()
@@ -92,8 +92,8 @@ pub fn place_rounded(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Gr
 pub struct Rounded {
     /// The tile.
     pub tile: Tile,
-    /// Largest change of any of its planes by rounding, anywhere on the tile, in δ.
-    pub rounding: f64,
+    /// Its planes before rounding, in the same order. Of planes that are equal after rounding, the one that changed most.
+    pub before: Vec<Plane>,
 }
 
 /// Share of tiles, 0 to 1, whose best single slanted plane misses `target` (99th percentile of |δ error|).
@@ -142,14 +142,17 @@ fn place_tile_rounded(samples: &Samples, placement: &Placement) -> Rounded {
 /// Rounds planes to the container's grid of coefficients, sorts them, labels the pixels and drops planes without pixels.
 fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Rounded {
     // u and v run from -1 to 1, so the three differences add up in one of the tile's corners
-    let change = |p: &Plane, q: &Plane| (p.a - q.a).abs() + (p.b - q.b).abs() + (p.c - q.c).abs();
-    let rounding = planes.iter().map(|p| change(p, &p.quantised())).fold(0.0, f64::max);
-    let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
-    planes.sort_by(|p, q| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c)));
-    planes.dedup();
+    let change = |[q, p]: &[Plane; 2]| (p.a - q.a).abs() + (p.b - q.b).abs() + (p.c - q.c).abs();
+    let mut both: Vec<[Plane; 2]> = planes.into_iter().map(|p| [p.quantised(), p]).collect();
+    let order = |p: &Plane, q: &Plane| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c));
+    both.sort_by(|x, y| order(&x[0], &y[0]).then(change(y).total_cmp(&change(x))));
+    both.dedup_by(|x, y| x[0] == y[0]);
+    let planes: Vec<Plane> = both.iter().map(|[q, _]| *q).collect();
     let (mut nearest, mut error) = (Vec::new(), Vec::new());
     samples.assign(&planes, &mut nearest, &mut error);
-    Rounded { tile: finish_labelled(samples, planes, nearest.iter().map(|&l| l as u8).collect(), placement), rounding }
+    let tile = finish_labelled(samples, planes, nearest.iter().map(|&l| l as u8).collect(), placement);
+    let before = both.iter().filter(|[q, _]| tile.planes.contains(q)).map(|[_, p]| *p).collect();
+    Rounded { tile, before }
 }
 
 /// Smooths the labels of sorted and rounded planes, and drops planes without pixels.
