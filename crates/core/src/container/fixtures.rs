@@ -23,7 +23,7 @@ pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
     let geometry = Geometry {
         grid,
         intrinsics: Intrinsics::centred(width, height, 300.0),
-        view_box: ViewBox::default(),
+        view_box: ViewBox::cube(0.03),
         tiles,
         matted: false,
         short_reach: false,

@@ -14,7 +14,7 @@ use crate::scene::{Class, Grid, Intrinsics, Plane, Rect, ViewBox};
 /// however large the scene's view box is.
 const SEAM: f64 = 1.0;
 /// The view box over which [`SEAM`] counts. All containers are read with it.
-const SEAM_BOX: ViewBox = ViewBox { x: 0.03, y: 0.03, z: 0.03 };
+const SEAM_BOX: ViewBox = ViewBox::cube(0.03);
 
 /// The planes of one tile, and the label of each pixel.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -17,7 +17,7 @@ pub fn message(data: &[u8]) {
             let empty = Geometry {
                 grid,
                 intrinsics: Intrinsics::centred(130, 100, 75.0),
-                view_box: ViewBox::default(),
+                view_box: ViewBox::cube(0.03),
                 tiles: Vec::new(),
                 matted: false,
                 short_reach: false,

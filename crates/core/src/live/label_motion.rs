@@ -268,7 +268,7 @@ mod tests {
             Geometry {
                 grid,
                 intrinsics: Intrinsics::centred(W, H, 50.0),
-                view_box: ViewBox::default(),
+                view_box: ViewBox::cube(0.03),
                 tiles,
                 matted: false,
                 short_reach: false,

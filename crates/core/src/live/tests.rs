@@ -26,7 +26,7 @@ fn geometry(width: u32, height: u32, size: u32, seed: u32) -> Geometry {
     Geometry {
         grid,
         intrinsics: Intrinsics::centred(width, height, 300.0),
-        view_box: ViewBox::default(),
+        view_box: ViewBox::cube(0.03),
         tiles,
         matted: false,
         short_reach: false,

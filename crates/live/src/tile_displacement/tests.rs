@@ -88,7 +88,7 @@ proptest! {
 
 #[test]
 fn the_bound_is_exact_for_fronto_parallel_planes() {
-    let g = scene(ViewBox::default());
+    let g = scene(ViewBox::cube(0.03));
     for index in 0..g.grid.tiles() {
         let [old, new] = [0.4, 0.43].map(|a| tile(&g, index, &[[a, 0.0, 0.0]], false, 0));
         let (bound, found) = (tile_displacement(&g, index, &old, &new), reference(&g, index, &old, &new));
@@ -98,7 +98,7 @@ fn the_bound_is_exact_for_fronto_parallel_planes() {
 
 #[test]
 fn different_numbers_of_layers_are_infinitely_far_apart() {
-    let g = scene(ViewBox::default());
+    let g = scene(ViewBox::cube(0.03));
     let two = tile(&g, 1, &[[0.2, 0.0, 0.0], [0.7, 0.0, 0.0]], true, 0);
     assert_eq!(tile_displacement(&g, 1, &two, &two).to_bits(), 0f64.to_bits());
     for other in [tile(&g, 1, &[[0.2, 0.0, 0.0]], true, 0), Tile { background: None, ..two.clone() }, Tile::default()] {

@@ -115,7 +115,7 @@ mod tests {
             Geometry {
                 grid,
                 intrinsics: Intrinsics::centred(width, height, 300.0),
-                view_box: ViewBox::default(),
+                view_box: ViewBox::cube(0.03),
                 tiles,
                 matted: false,
                 short_reach: false,

@@ -173,7 +173,7 @@ fn geometry(grid: Grid, planes: Vec<Plane>, labels: Vec<u8>) -> Geometry {
     Geometry {
         grid,
         intrinsics: Intrinsics::centred(grid.width, grid.height, 50.0),
-        view_box: ViewBox::default(),
+        view_box: ViewBox::cube(0.03),
         tiles,
         matted: false,
         short_reach: false,
