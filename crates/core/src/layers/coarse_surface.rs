@@ -3,7 +3,6 @@
 
 use std::ops::Range;
 
-use super::TileFrame;
 use crate::scene::{Plane, Rect};
 
 /// Side of a block in pixels. Blocks start at multiples of it.
@@ -31,10 +30,10 @@ pub struct BlockSearch<'a> {
     pub inner: Rect,
     /// Largest distance, horizontal and vertical.
     pub radius: (u32, u32),
-    /// Frame of the plane.
-    pub place: TileFrame,
     /// Plane of the texels.
     pub plane: &'a Plane,
+    /// Centre of its tile, in pixels, and half the tile's size.
+    pub frame: ((f64, f64), f64),
     /// A surface at most this far in front of the plane, in δ, is open.
     pub slack: f64,
 }
@@ -74,11 +73,11 @@ impl CoarseSurface {
 
     /// True if any pixel of a block may be open.
     fn is_open(&self, column: usize, row: usize, search: &BlockSearch) -> bool {
-        let BlockSearch { place, plane, slack, .. } = search;
+        let BlockSearch { plane, frame: (centre, half), slack, .. } = search;
         let middle = |block: usize| (block as f64 + 0.5) * f64::from(BLOCK);
-        let (u, v) = ((middle(column) - place.centre.0) / place.half, (middle(row) - place.centre.1) / place.half);
+        let (u, v) = ((middle(column) - centre.0) / half, (middle(row) - centre.1) / half);
         // pixel centres are up to half a block less half a pixel from the middle
-        let nearest = plane.disparity(u, v) + (plane.b.abs() + plane.c.abs()) * f64::from(BLOCK - 1) / 2.0 / place.half;
+        let nearest = plane.disparity(u, v) + (plane.b.abs() + plane.c.abs()) * f64::from(BLOCK - 1) / 2.0 / half;
         f64::from(self.least[self.at(column, row)]) <= nearest + slack + ROUNDING
     }
 

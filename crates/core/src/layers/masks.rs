@@ -153,8 +153,8 @@ impl Geometry {
         self.masks_of(0..self.tiles.len() as u32, &self.surface(), all)
     }
 
-    /// Masks of some tiles. The surface must cover at least their [`pixel_rows`](super::pixel_rows). With `all`, keeps hidden texels that no camera can
-    /// see.
+    /// Masks of some tiles. The surface must cover at least their [`pixel_rows`](super::pixel_rows). With `all`, keeps hidden texels that no
+    /// camera can see.
     pub(crate) fn masks_of(&self, tiles: Range<u32>, surface: &Surface, all: bool) -> Vec<LayerMasks> {
         let scratch = || Scratch { all, ..Scratch::default() };
         parallel::map_init(tiles.len(), scratch, |s, i| self.masks_of_tile(tiles.start + i as u32, surface, s))

@@ -55,7 +55,7 @@ impl Geometry {
         if radius.0.max(radius.1) > FINE_REACH
             && let Some(coarse) = surface.coarse()
         {
-            let search = BlockSearch { win, inner, radius, place: *place, plane, slack: UNOCCLUDED };
+            let search = BlockSearch { win, inner, radius, plane, frame: (place.centre, place.half), slack: UNOCCLUDED };
             return coarse.keep_seen(&search, *r, hidden, sums);
         }
         place.columns(win.x, win.w, us);
