@@ -121,7 +121,7 @@ pub struct PlaneError {
     pub missed_most_px: f64,
     /// Part of `mean_px` that label smoothing adds, beyond the error of each pixel's nearest plane.
     pub smoothing_px: f64,
-    /// Largest shift of a pixel by rounding planes to the container's grid of coefficients, of every eighth pixel of every eighth row of a tile.
+    /// Largest shift of a pixel by rounding planes to the container's grid of coefficients, among 8 × 8 pixels of each tile.
     pub rounding_px: f64,
 }
 

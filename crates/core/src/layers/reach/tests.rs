@@ -223,6 +223,15 @@ fn a_nearer_surface_in_the_neighbourhood_counts() {
     assert!(kept(299) && kept(300 - 76) && !kept(300 - 100));
 }
 
+/// `tests/browser/decode/reach.test.mjs` has the same cases, at least 96.
+#[test]
+fn the_reach_follows_from_the_camera_and_its_box() {
+    let (grid, k) = (Grid::new(150, 100, 64), Intrinsics::centred(150, 100, 300.0));
+    let reach = |y: f64, z: f64| farthest(&grid, &k, &ViewBox { x: 0.0, y, z }, false).1;
+    assert_eq!([reach(0.0, 0.0), reach(0.03, 0.03), reach(1.0, 0.03), reach(0.5, 5.0), reach(10.0, 0.0)], [2, 12, 303, 202, 1664]);
+    assert_eq!(farthest(&grid, &k, &ViewBox::cube(10.0), true), (96, 96));
+}
+
 #[test]
 fn rows_of_tiles_depend_on_whole_blocks_within_the_reach() {
     let grid = Grid { width: 100, height: 3000, size: 64, stride: 56 };
