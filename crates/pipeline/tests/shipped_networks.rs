@@ -178,7 +178,7 @@ fn refined(models: &Models, scene: &Scene, refine: Switch) -> [Layered; 2] {
     let placed = job.run(&mut stages::Planes::default(), (&prepared, &map)).unwrap();
     let layered = job.run(&mut stages::Layers, (&mut prepared, placed, &map.delta)).unwrap();
     let before = layered.clone();
-    [before, job.run(&mut stages::Refine, (&scene.photo, layered)).unwrap()]
+    [before, job.run(&mut stages::Refine, layered).unwrap()]
 }
 
 fn shapes(layered: &Layered) -> Vec<&LayerMask> {

@@ -190,6 +190,7 @@ fn premultiply(texel: &mut [u8; 4]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Photo, Plane, Rect, Texels};
 
     #[test]
     fn premultiplication_rounds_every_value_to_nearest() {
@@ -199,5 +200,36 @@ mod tests {
             let want = [v, 255 - v, v / 2].map(|v| (f64::from(v) * f64::from(a) / 255.0).round() as u8);
             assert_eq!(texel, [want[0], want[1], want[2], a]);
         }
+    }
+
+    #[test]
+    fn pieces_of_a_layer_join_to_the_whole_layer() {
+        let (width, height, rect) = (12, 11, Rect { x: 3, y: 4, w: 7, h: 5 });
+        let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 16) as u8;
+        let photo = Photo::from_fn(width, height, |x, y| [x as u8, y as u8, noise(x + y * width)]);
+        let class: Vec<u8> = (0..35).map(|i| noise(i) % 3).collect();
+        let hidden = class.iter().filter(|c| **c == Class::Hidden as u8).zip(0..).map(|(_, n)| [200, n, noise(n.into())]).collect();
+        let alpha = class.iter().zip(0..).map(|(c, i)| if *c == 0 { 0 } else { noise(i + 99) | 1 }).collect();
+        let layer = Layer { tile: 0, plane: Plane::fronto_parallel(0.5), rect, first_texel: 0, first_hidden: 0 };
+        let part = TileLayers { layers: vec![layer], texels: Texels { class, alpha, hidden } };
+        let mut words = vec![0; photo.rgb.len()];
+        packed_rgb::words(&photo.rgb, &mut words);
+        let mut whole = Vec::new();
+        texels(&part, &layer, (&words, width as usize), &mut whole);
+        assert!(whole.iter().any(|t| t[3] > 0 && t[3] < 255));
+        let top = 2;
+        let rows = PhotoRows { width, height, top, rgb: photo.rgb[(top * width) as usize..].to_vec() };
+        let blur = MirrorBlur::new(&rows.rgb, [width, height], top);
+        for (u, v) in (0..7).flat_map(|u| (0..5).map(move |v| (u, v))) {
+            let piece = Piece { layer: 0, from: (u, v), size: (7 - u, 5 - v), mirrored: (false, false), x: 1 };
+            let strip = strip(&part, (&rows, &blur), std::iter::once(piece), (9, 5), false).unwrap();
+            for (x, y) in (0..9).flat_map(|x| (0..5).map(move |y| (x, y))) {
+                let within = (1..8 - u).contains(&x) && y < 5 - v;
+                let want = if within { whole[(v + y) * 7 + u + x - 1] } else { [0; 4] };
+                assert_eq!(strip[y * 9 + x], want, "texel {x}, {y} of the piece from {u}, {v}");
+            }
+        }
+        let outside = Piece { layer: 0, from: (1, 1), size: (7, 4), mirrored: (false, false), x: 0 };
+        assert!(strip(&part, (&rows, &blur), std::iter::once(outside), (9, 5), false).is_none());
     }
 }

@@ -34,8 +34,8 @@ pub fn make(
     let map = job.run(&mut Snap, (&prepared.photo, map))?;
     let placed = job.run(&mut Planes::default(), (&prepared, &map))?;
     let layered = job.run(&mut Layers, (&mut prepared, placed, &map.delta))?;
-    let layered = job.run(&mut Refine, (&prepared.photo, layered))?;
-    let encoded = job.run(&mut Encode, (prepared.photo, layered))?;
-    job.run(&mut Verify, &encoded)?;
+    let layered = job.run(&mut Refine, layered)?;
+    let encoded = job.run(&mut Encode, layered)?;
+    job.run(&mut Verify, (&prepared.photo, &encoded))?;
     Ok(Made { container: encoded.container, report: job.finish(), disparity: map.delta, before_strokes })
 }

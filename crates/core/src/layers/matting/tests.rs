@@ -126,6 +126,23 @@ fn missing_or_equal_sides_have_no_matte() {
     assert_eq!(Matte::of([90; 3], &noise, &light), None);
 }
 
+#[test]
+fn whole_rows_of_tiles_surround_any_tiles() {
+    for (width, height, size, stride) in [(70, 200, 16, 12), (200, 70, 16, 12), (60, 60, 20, 6), (90, 50, 16, 16), (9, 9, 16, 12)] {
+        let grid = Grid { width, height, size, stride };
+        for (start, end) in (0..grid.tiles()).flat_map(|start| (start + 1..=grid.tiles()).map(move |end| (start, end))) {
+            let overlap = |t: u32| {
+                let r = grid.rect(t);
+                let meets = |o: crate::Rect| r.y < o.y + o.h && o.y < r.y + r.h;
+                [start, end - 1].map(|t| grid.rect(t)).into_iter().any(meets) || (start..end).contains(&t)
+            };
+            let rows: Vec<u32> = (0..grid.rows()).filter(|row| overlap(row * grid.columns())).collect();
+            let want = rows[0] * grid.columns()..(rows[rows.len() - 1] + 1) * grid.columns();
+            assert_eq!(super::around(&grid, start..end), want, "tiles {start}..{end} of {grid:?}");
+        }
+    }
+}
+
 /// Near patches in front of a wall, and a photo of two colours that are mixed at random along the borders.
 fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
     let slant = || -0.15..0.15f64;

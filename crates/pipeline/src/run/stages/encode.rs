@@ -1,7 +1,7 @@
 //! Encoding of the container.
 
-use tmpi_core::container::{self, EncodedPhoto, OptionalSections};
-use tmpi_core::{Geometry, Photo, Scene, compose};
+use tmpi_core::container::{self, OptionalSections};
+use tmpi_core::{Geometry, Scene, compose};
 
 use super::Layered;
 use crate::run::{Context, MakeError, Stage};
@@ -15,26 +15,24 @@ pub struct Encode;
 pub struct Encoded {
     /// The container.
     pub container: Vec<u8>,
-    /// The scene in the container.
+    /// The scene in the container, with the photo as its readers see it.
     pub scene: Scene,
     /// Tiles, planes and labels of the scene.
     pub geometry: Geometry,
-    /// The photo's file in the container.
-    pub photo_file: EncodedPhoto,
     /// What the container stores because it does not follow from photo, planes and labels.
     pub optional: OptionalSections,
 }
 
 impl Stage for Encode {
     const NAME: &'static str = "encode";
-    type Input<'a> = (Photo, Layered);
+    type Input<'a> = Layered;
     type Output = Encoded;
 
-    fn run(&mut self, (photo, layered): (Photo, Layered), context: &mut Context) -> Result<Encoded, MakeError> {
-        let Layered { geometry, tiles, photo_file, optional } = layered;
+    fn run(&mut self, layered: Layered, context: &mut Context) -> Result<Encoded, MakeError> {
+        let Layered { geometry, tiles, photo_file, photo, optional } = layered;
         let scene = compose(photo, &geometry, tiles);
         let (container, bytes) = container::encode(&geometry, &scene, &photo_file, optional)?;
         context.report.bytes = bytes.into();
-        Ok(Encoded { container, scene, geometry, photo_file, optional })
+        Ok(Encoded { container, scene, geometry, optional })
     }
 }

@@ -25,6 +25,8 @@ pub struct Layered {
     pub tiles: Vec<Vec<TexturedLayer>>,
     /// The photo's file for the container.
     pub photo_file: EncodedPhoto,
+    /// The photo as readers of that file see it.
+    pub photo: Photo,
     /// What the container must store because it does not follow from photo, planes and labels.
     pub optional: OptionalSections,
 }
@@ -36,16 +38,24 @@ impl Stage for Layers {
 
     fn run(&mut self, input: (&mut Prepared, Placed, &DisparityMap), context: &mut Context) -> Result<Layered, MakeError> {
         let (prepared, Placed { mut geometry, placement }, delta) = input;
-        layers::add_backgrounds(&mut geometry, delta);
         // the container stores the alphas of Ψ, whereas readers derive mattes from the photo
         geometry.matted = !refined(context);
-        let masks = geometry.masks();
-        // encoding the photo uses one core; beside the layers, which use all cores, it adds no wall time
+        // encoding the photo uses one core; beside the masks, which use all cores, it adds little wall time
         let uploaded = prepared.uploaded.take();
-        let file = || choose_file(uploaded, prepared.format, &prepared.photo, context.options.quality);
-        let (tiles, photo_file) = rayon::join(|| texture(&prepared.photo, &geometry, masks), file);
+        let file = || {
+            let file = choose_file(uploaded, prepared.format, &prepared.photo, context.options.quality)?;
+            Ok::<_, MakeError>((file.decode()?, file))
+        };
+        let masks = || {
+            layers::add_backgrounds(&mut geometry, delta);
+            geometry.masks()
+        };
+        let (masks, file) = rayon::join(masks, file);
+        let (photo, photo_file) = file?;
+        // mattes depend on the colours, so the layers are those of readers only with the colours that readers see
+        let tiles = texture(&photo, &geometry, masks);
         count(&mut context.report, &geometry, &tiles, &placement);
-        Ok(Layered { geometry, tiles, photo_file: photo_file?, optional: OptionalSections::default() })
+        Ok(Layered { geometry, tiles, photo_file, photo, optional: OptionalSections::default() })
     }
 }
 
@@ -55,16 +65,16 @@ pub struct Refine;
 
 impl Stage for Refine {
     const NAME: &'static str = "refine";
-    type Input<'a> = (&'a Photo, Layered);
+    type Input<'a> = Layered;
     type Output = Layered;
 
-    fn run(&mut self, (photo, mut layered): (&Photo, Layered), context: &mut Context) -> Result<Layered, MakeError> {
+    fn run(&mut self, mut layered: Layered, context: &mut Context) -> Result<Layered, MakeError> {
         let options = context.options;
         context.report.left_out.tiles_not_refined = layered.tiles.len();
         if refined(context)
             && let Some(psi) = &context.models.psi
         {
-            let refined = refine::run(psi.as_ref(), photo, &layered.geometry, &mut layered.tiles)?;
+            let refined = refine::run(psi.as_ref(), &layered.photo, &layered.geometry, &mut layered.tiles)?;
             context.report.left_out.tiles_not_refined = refined.skipped;
             layered.optional = OptionalSections { alpha: true, hidden: refined.colours.then_some(HiddenCodec::Jpeg(options.quality)) };
         }

@@ -19,12 +19,12 @@ pub struct Verify;
 
 impl Stage for Verify {
     const NAME: &'static str = "verify";
-    type Input<'a> = &'a Encoded;
+    type Input<'a> = (&'a Photo, &'a Encoded);
     type Output = ();
 
-    fn run(&mut self, made: &Encoded, context: &mut Context) -> Result<(), MakeError> {
+    fn run(&mut self, (photo, made): (&Photo, &Encoded), context: &mut Context) -> Result<(), MakeError> {
         let all = context.options.verify_prune;
-        let (reader, pruned) = rayon::join(|| reader_errors(made), || pruned(made, all));
+        let (reader, pruned) = rayon::join(|| reader_errors(photo, made), || pruned(made, all));
         let (reader, error) = (reader?, &mut context.report.error);
         (error.codec_psnr, error.identity_psnr, error.identity_tiles) = (reader.codec_psnr, reader.identity_psnr, reader.tiles);
         error.hidden_psnr = reader.hidden_psnr;
@@ -50,8 +50,9 @@ struct ReaderErrors {
     hidden_psnr: Option<f64>,
 }
 
-fn reader_errors(made: &Encoded) -> Result<ReaderErrors, MakeError> {
-    let photo = &made.scene.photo;
+/// `photo` is the photo before it was encoded.
+fn reader_errors(photo: &Photo, made: &Encoded) -> Result<ReaderErrors, MakeError> {
+    let codec_psnr = psnr(made.scene.photo.rgb.as_flattened(), photo.rgb.as_flattened());
     if made.optional != OptionalSections::default() {
         // refined layers are stored for all tiles together, so no single row can be decoded
         let read = container::decode(&made.container)?;
@@ -59,14 +60,13 @@ fn reader_errors(made: &Encoded) -> Result<ReaderErrors, MakeError> {
         let mut difference = Difference::default();
         difference.add(photo.rgb.as_flattened(), &read, 0..photo.height)?;
         return Ok(ReaderErrors {
-            codec_psnr: psnr(read.photo.rgb.as_flattened(), photo.rgb.as_flattened()),
+            codec_psnr,
             identity_psnr: difference.psnr(),
             tiles: made.geometry.tiles.len(),
             hidden_psnr: made.optional.hidden.map(|_| hidden()),
         });
     }
-    let Photo { width, height, rgb } = made.photo_file.decode()?;
-    let codec_psnr = psnr(rgb.as_flattened(), photo.rgb.as_flattened());
+    let Photo { width, height, rgb } = made.scene.photo.clone();
     let rows = PhotoRows { width, height, top: 0, rgb };
     let (grid, mut difference, mut tiles) = (made.geometry.grid, Difference::default(), 0);
     for block in (0..grid.rows()).step_by(ROW_STEP as usize) {
