@@ -58,8 +58,8 @@ fn window_work(grid: &Grid, index: u32) -> u64 {
     area(FINE_REACH) + area(MAX_REACH).div_ceil(u64::from(BLOCK * BLOCK))
 }
 
-/// Maximum number of pixels and blocks that [`Geometry::masks`] reads for a grid whose tiles have these numbers of `planes`. Readers use it
-/// to bound their work.
+/// Maximum number of pixels and blocks that [`Geometry::masks`] reads for a grid whose tiles have these numbers of `planes`, without the few
+/// passes that find the nearest surface around a tile. Readers use it to bound their work.
 pub fn work_of(grid: &Grid, planes: impl Iterator<Item = u64>) -> u64 {
     (0..grid.tiles()).zip(planes).map(|(i, n)| window_work(grid, i) * (n + 1)).sum()
 }
