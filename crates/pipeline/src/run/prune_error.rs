@@ -33,7 +33,7 @@ const SHARE: u32 = 16;
 const FEWEST: u32 = 32;
 /// Largest parallax between near and far, in pixels, that a part is made for: that of the default view box on a photo of 1600 pixels.
 const MAX_PARALLAX: f64 = 160.0;
-/// Pixels around a texel that are drawn with it, and its distance from the edge that uncovers it, rounded up.
+/// Pixels around a texel that a view blends with it, and rounding.
 const FOOTPRINT: f64 = 2.0;
 
 /// Like [`verify`], but on parts of the photo, seen from two opposite corners of the view box, or from so far on the way to them as
