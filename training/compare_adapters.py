@@ -3,9 +3,9 @@
     python compare_adapters.py ../target/release/tmpi [photo …]
 
 Builds each architecture with few layers, exports it to ONNX, and runs it twice: in PyTorch with the image processor of `transformers` (MiDaS: OpenCV, as
-in its project), and with `tmpi depth --raw`. For Depth Anything 3, MoGe-2 and ZipDepth, which `transformers` does not have, small convolutional networks
-have the published interface, and this script reimplements their projects' pre- and postprocessing. Compares the map at the network's size, without
-ZoeDepth's margins and without the program's upsampling along the photo's edges."""
+in its project), and with `tmpi depth --raw`. For Depth Anything 3 and MoGe-2, which `transformers` does not have, small convolutional networks
+have the published interface, and this script reimplements their projects' pre- and postprocessing. Compares the map at the network's size,
+without the program's upsampling along the photo's edges."""
 
 import argparse
 import itertools
@@ -135,16 +135,6 @@ def dpt(hybrid):
     return Pixels(net), net.head.head[4]
 
 
-def zoe():
-    beit = t.BeitConfig(
-        image_size=384, hidden_size=96, num_hidden_layers=4, num_attention_heads=4, intermediate_size=192, use_relative_position_bias=True,
-        reshape_hidden_states=False, out_features=["stage1", "stage2", "stage3", "stage4"],
-    )  # fmt: skip
-    config = t.ZoeDepthConfig(backbone_config=beit, neck_hidden_sizes=[24, 48, 96, 96], fusion_hidden_size=48, bottleneck_features=48, bin_embedding_dim=32)
-    net = t.ZoeDepthForDepthEstimation(config)
-    return Pixels(net), net.relative_head.conv3
-
-
 def trunk(channels, given):
     """Convolutions at full resolution, so that every pixel and its neighbours matter."""
     return nn.Sequential(nn.Conv2d(channels, 24, 3, 1, 1), nn.ReLU(), nn.Conv2d(24, 24, 3, 1, 1), nn.ReLU(), nn.Conv2d(24, given, 1))
@@ -196,25 +186,6 @@ class Points(nn.Module):
         return points, F.normalize(x[:, 3:6], dim=1).permute(0, 2, 3, 1), torch.sigmoid(x[:, 6] - 1.2), (x[:, 7].mean((1, 2)) / 4).exp()
 
 
-class Stem(nn.Module):
-    """The interface of ZipDepth, which normalises its input, with the name of its first convolution."""
-
-    inputs, outputs = ["image"], ["depth"]
-
-    def __init__(self):
-        super().__init__()
-        self.encoder = nn.Module()
-        self.encoder.stem_half = nn.Module()
-        self.encoder.stem_half.conv = nn.Conv2d(3, 24, 3, 1, 1)
-        self.decoder = trunk(24, 1)
-        self.register_buffer("mean", torch.tensor(IMAGENET[0])[:, None, None])
-        self.register_buffer("std", torch.tensor(IMAGENET[1])[:, None, None])
-
-    def forward(self, pixels):
-        x = self.encoder.stem_half.conv((pixels - self.mean) / self.std)
-        return self.decoder(x.relu()).relu()
-
-
 def three(several):
     """Depth Anything 3's preprocessing: OpenCV on bytes, longer side 504, then each side to the nearest multiple of 14, ties up."""
 
@@ -243,14 +214,6 @@ def moge(image):
     return F.interpolate(x, (rows * 14, columns * 14), mode="bilinear", align_corners=False, antialias=True), torch.tensor(rows * columns)
 
 
-def zipdepth(image):
-    """ZipDepth's preprocessing: OpenCV on bytes, shorter side 384, multiples of 32."""
-    scale = 384 / min(image.size)
-    size = [max(32, round(v * scale / 32) * 32) for v in image.size]
-    x = cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_LINEAR)
-    return torch.from_numpy(x.transpose(2, 0, 1).astype(np.float32) / 255)[None]
-
-
 def ignore_threshold(disparity, above):
     """Excludes pixels within a thousandth of a threshold, where rounding decides the side."""
     return torch.where(above.abs() < 1e-3, torch.nan, disparity)
@@ -276,16 +239,9 @@ def moge_disparity(points, _normal, mask, scale):
     return ignore_threshold(torch.from_numpy(1 / depth), mask[0] - 0.5)
 
 
-def weaken_attractors(net):
-    """Scales down ZoeDepth's attractor weights, because random ones pull distances to 0."""
-    for m in net.net.metric_head.modules():
-        if isinstance(m, nn.Conv2d):
-            m.weight.data *= 0.6
-
-
 def architectures():
-    """Yields (row, adapter, function that returns network and last linear layer, preprocessing, whether one file takes any size, metric, processor,
-    function from outputs to disparity)."""
+    """Yields (row, adapter, function that returns network and last linear layer, preprocessing, whether one file takes any size, metric, function from
+    outputs to disparity)."""
     for name, encoder, width, side in (("midas-v2.1-small", "tf_efficientnet_lite3", 64, 256), ("midas-v2.1", "resnext101_32x8d", 64, 384)):
         for end, size, norm in (("", lambda w, h, side=side: (side, side), False), ("-hub", within(side), True)):
 
@@ -293,31 +249,27 @@ def architectures():
                 net = Midas(encoder, width, not norm)
                 return net, net.last
 
-            yield name + end, name + end, make, opencv(size, *(IMAGENET if norm else ([0] * 3, [1] * 3))), True, False, None, None
+            yield name + end, name + end, make, opencv(size, *(IMAGENET if norm else ([0] * 3, [1] * 3))), True, False, None
 
     # as in their preprocessor_config.json: Pillow's linear filter, both sides 384
     for name in ("dpt-large", "dpt-hybrid"):
         processor = t.DPTImageProcessorPil(resample=Image.Resampling.BILINEAR, image_mean=HALF[0], image_std=HALF[1])
-        yield name, name, lambda name=name: dpt(name == "dpt-hybrid"), by(processor), True, False, None, None
+        yield name, name, lambda name=name: dpt(name == "dpt-hybrid"), by(processor), True, False, None
 
     near = {"size": {"height": 518, "width": 518}, "keep_aspect_ratio": True, "ensure_multiple_of": 14}
     processor = t.DPTImageProcessorPil(**near, resample=Image.Resampling.BICUBIC, image_mean=IMAGENET[0], image_std=IMAGENET[1])
     sizes = {"S": (384, 6, [48, 96, 192, 384], 64), "B": (768, 12, [96, 192, 384, 768], 128), "L": (1024, 16, [256, 512, 1024, 1024], 256)}
     for name, kind, which in (("depth-anything-v2", "relative", "SBL"), ("depth-anything-v2-metric", "metric", "S")):
         for letter in which:
-            yield f"{name} {letter}", name, lambda letter=letter, kind=kind: anything(*sizes[letter], kind), by(processor), False, kind == "metric", None, None
-
-    processor = t.ZoeDepthImageProcessor(ensure_multiple_of=32, image_mean=HALF[0], image_std=HALF[1])
-    yield "zoedepth", "zoedepth", zoe, by(processor), False, True, processor, None
+            yield f"{name} {letter}", name, lambda letter=letter, kind=kind: anything(*sizes[letter], kind), by(processor), False, kind == "metric", None
 
     def made(net):
-        return net, (net.decoder if isinstance(net, Stem) else net.net)[-1]
+        return net, net.net[-1]
 
-    yield "depth-anything-3", "depth-anything-3", lambda: made(Views(True)), three(True), True, False, None, lambda depth, _: 1 / depth[0, 0]
+    yield "depth-anything-3", "depth-anything-3", lambda: made(Views(True)), three(True), True, False, lambda depth, _: 1 / depth[0, 0]
     sky = lambda depth, sky: ignore_threshold(torch.where(sky[0] < 0.3, 1 / depth[0], 0), sky[0] - 0.3)  # noqa: E731
-    yield "depth-anything-3 sky", "depth-anything-3", lambda: made(Views(False)), three(False), False, False, None, sky
-    yield "moge-2", "moge-2", lambda: made(Points()), moge, True, False, None, moge_disparity
-    yield "zipdepth", "zipdepth", lambda: made(Stem()), zipdepth, False, False, None, lambda depth: depth[0, 0]
+    yield "depth-anything-3 sky", "depth-anything-3", lambda: made(Views(False)), three(False), False, False, sky
+    yield "moge-2", "moge-2", lambda: made(Points()), moge, True, False, moge_disparity
 
 
 def enliven(net, last, *x):
@@ -402,7 +354,7 @@ def main():
         raise SystemExit("no photos: name some, or set TMPI_DATA")
     worst, rows, begun = 0.0, 0, time.time()
     with tempfile.TemporaryDirectory() as folder:
-        for row, name, make, prepare, any_size, metric, processor, after in architectures():
+        for row, name, make, prepare, any_size, metric, after in architectures():
             if not row.startswith(a.only):
                 continue
             rows += 1
@@ -416,8 +368,6 @@ def main():
                 x = x if isinstance(x, tuple) else (x,)
                 if model is None:
                     enliven(net, last, *x)
-                    if name == "zoedepth":
-                        weaken_attractors(net)
                 h, w = x[0].shape[-2:]
                 if model is None or not (any_size or f"{w}x{h}" in model):
                     if model:
@@ -433,11 +383,6 @@ def main():
                 # pass only the file, so that the program must detect the adapter
                 about = json.loads(subprocess.run([*command, model], check=True, capture_output=True).stdout)
                 got = pfm(out)
-                if processor:
-                    # their code returns any size; ours should be about the network's
-                    output = t.modeling_outputs.DepthEstimatorOutput(predicted_depth=want)
-                    (full,) = processor.post_process_depth_estimation(output, source_sizes=[image.size[::-1]], target_sizes=[got.shape])
-                    want = full["predicted_depth"]
                 want = want.squeeze(0).numpy()
                 off = mean = np.inf
                 note = "" if got.shape == want.shape else f" here {got.shape[1]}×{got.shape[0]}"

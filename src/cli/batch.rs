@@ -17,7 +17,6 @@ const MAP: &str = "pfm";
 const OTHERS: [&str; 9] = ["heic", "heif", "avif", "gif", "tif", "tiff", "bmp", "jxl", "dng"];
 const CONTAINER: &str = "tmpi";
 
-/// A photo and its output container.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Item {
     pub photo: PathBuf,
@@ -28,11 +27,9 @@ pub(super) struct Item {
     found: bool,
 }
 
-/// The photos to make.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Batch {
     pub items: Vec<Item>,
-    /// The output is a folder.
     pub folder: bool,
     /// What is left out of folders and why, a line each.
     pub left_out: Vec<String>,

@@ -27,7 +27,6 @@ pub(super) struct ConfigArgs {
     pub schema: bool,
     #[command(flatten)]
     pub serve: ServeArgs,
-    /// The text to print.
     #[arg(skip)]
     pub shown: String,
 }
@@ -38,7 +37,6 @@ const SERVE: &str = "serve";
 const ADDRESSES: [&str; 5] = ["advertise", "blobs", "database", "network-url", "otlp"];
 /// Options, besides those of networks, that a server passes to the processes that make photos. None may be a secret.
 const FOR_MAKERS: [&str; 4] = ["backend", "log", "memory", SET];
-/// Prefix of the variables.
 const PREFIX: &str = "TMPI_SERVE_";
 /// The option that names the file. Commands that have it take the settings for which they have an option.
 const FILE: &str = "config";
@@ -49,7 +47,6 @@ const WEBHOOKS: &str = "webhooks";
 /// Options that are not settings.
 const NO_SETTINGS: [&str; 4] = [FILE, SET, "schema", "help"];
 
-/// Longest file in bytes.
 const LONGEST: u64 = 1 << 20;
 
 /// Gives every option that is a setting an environment variable.
@@ -69,7 +66,6 @@ fn with_variables(command: Command, settings: &Command) -> Command {
     })
 }
 
-/// Whether a command has an option.
 fn has(command: &Command, long: &str) -> bool {
     command.get_arguments().any(|arg| arg.get_long() == Some(long))
 }
@@ -147,7 +143,6 @@ pub(super) fn complete(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<Os
     Ok((line, sources))
 }
 
-/// The option for a key of the file.
 fn setting<'a>(command: &'a Command, key: &str) -> Option<&'a Arg> {
     command.get_arguments().find(|a| a.get_long() == Some(key) && !NO_SETTINGS.contains(&key) && !a.is_hide_set())
 }
@@ -247,9 +242,6 @@ pub(super) fn for_makers(command: &Command, given: &ArgMatches) -> Vec<OsString>
 }
 
 /// The effective settings as a file for `--config`, each line with its source. Defaults and derived values are comments.
-///
-/// # Errors
-/// The settings are invalid.
 pub(super) fn shown(command: &Command, given: &ArgMatches, sources: &Sources, args: &ServeArgs) -> anyhow::Result<String> {
     let (limits, effects) = args.effects()?;
     let mut text = String::new();
@@ -284,7 +276,6 @@ pub(super) fn shown(command: &Command, given: &ArgMatches, sources: &Sources, ar
     Ok(text)
 }
 
-/// The tables of the file.
 fn shown_tables(limits: &Limits, said: &[String], sources: &Sources) -> serde_json::Result<String> {
     let limits = serde_json::to_value(limits)?;
     let (mut text, mut table) = (String::new(), "");

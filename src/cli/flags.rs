@@ -91,7 +91,6 @@ pub(super) struct MakeFlags {
     pub strokes: Option<Strokes>,
 }
 
-/// Strokes from a file.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Strokes(Vec<Stroke>);
 
@@ -132,7 +131,6 @@ fn whole(text: &str) -> Result<u32, String> {
     text.trim().parse().map_err(|_| format!("{text:?} is not a whole number"))
 }
 
-/// Finite numbers separated by commas.
 pub(super) fn numbers(text: &str) -> Result<Vec<f64>, String> {
     let all = text.split(',').map(number).collect::<Result<Vec<_>, _>>()?;
     if all.iter().all(|v| v.is_finite()) { Ok(all) } else { Err("every number must be finite".into()) }
@@ -180,7 +178,6 @@ fn view_box(text: &str) -> Result<ViewBox, String> {
     checked(ViewBox { x, y, z }, |o, v| o.view_box = v)
 }
 
-/// A picture size, `WxH`.
 pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
     use tmpi_render::{MAX_PIXELS, MAX_SIDE};
     let (w, h) = text.split_once(['x', 'X', '×']).ok_or("a size is written WIDTHxHEIGHT")?;

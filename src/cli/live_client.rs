@@ -83,15 +83,11 @@ impl<'a> Addresses<'a> {
         }
     }
 
-    /// Moves on to the next URL; the current one comes last.
     fn go_on(&mut self) {
         self.at = (self.at + 1) % self.all.len().max(1);
     }
 
     /// Connects to the first URL that accepts the connection.
-    ///
-    /// # Errors
-    /// [`Unreached`] if none does.
     async fn connect(&mut self, what: &str) -> Result<Socket, Unreached> {
         let mut unreached = Unreached { no_publisher: true, error: anyhow::anyhow!("no address") };
         for _ in 0..self.all.len() {
@@ -106,9 +102,7 @@ impl<'a> Addresses<'a> {
     }
 }
 
-/// How a session ended.
 pub(super) struct SessionEnd {
-    /// Why.
     pub(super) error: anyhow::Error,
     /// Pause before the next session; `None` if there must be none.
     pub(super) again: Option<Duration>,
@@ -117,9 +111,6 @@ pub(super) struct SessionEnd {
 }
 
 /// The bytes of a message; `None` if it is a ping.
-///
-/// # Errors
-/// The connection has ended.
 pub(super) fn received(came: Option<Result<Message, tungstenite::Error>>) -> anyhow::Result<Option<Bytes>> {
     match came {
         Some(Ok(Message::Binary(bytes))) => Ok(Some(bytes)),
@@ -133,7 +124,6 @@ pub(super) fn received(came: Option<Result<Message, tungstenite::Error>>) -> any
 pub(super) struct Unreached {
     /// Every node answered that the room has no publisher.
     pub(super) no_publisher: bool,
-    /// The error of the last URL.
     pub(super) error: anyhow::Error,
 }
 

@@ -90,16 +90,13 @@ impl<'a> Origin<'a> {
     }
 }
 
-/// What the user asked for.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct InputOptions {
-    /// Always encode the video.
     pub(super) transcode: bool,
     /// Publish the sound, if the source has any.
     pub(super) sound: bool,
 }
 
-/// How a source is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Plan {
     /// Arguments that name the source.
@@ -108,7 +105,6 @@ pub(super) struct Plan {
     encoder: Option<&'static str>,
     /// The source's sound is read, too.
     pub(super) sound: bool,
-    /// Notices for the user.
     pub(super) notices: Vec<String>,
 }
 

@@ -28,9 +28,6 @@ pub(super) struct Program {
 
 impl Program {
     /// Starts a program; if it is `live`, units that are not taken in time are dropped.
-    ///
-    /// # Errors
-    /// The program cannot be started.
     pub(super) fn start(mut command: Command, live: bool) -> anyhow::Result<Self> {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).kill_on_drop(true);
         let left_out = Arc::default();
@@ -39,9 +36,6 @@ impl Program {
     }
 
     /// Starts the program again.
-    ///
-    /// # Errors
-    /// The program cannot be started.
     pub(super) fn begin_again(&mut self) -> anyhow::Result<()> {
         (self.child, self.units) = spawn(&mut self.command, self.live, &self.left_out)?;
         Ok(())

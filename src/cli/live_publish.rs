@@ -28,7 +28,6 @@ const PATIENCE: Duration = Duration::from_millis(250);
 const CATCH_UP: Duration = Duration::from_millis(100);
 /// Silence after which the connection counts as lost: the server sends something every second.
 const SILENCE: Duration = Duration::from_secs(4);
-/// Timeout for sending a message.
 const STUCK: Duration = Duration::from_secs(10);
 
 /// Publish frames in a room: a folder of JPEG files, a camera, or anything that ffmpeg reads
@@ -79,7 +78,6 @@ fn hello(source: &Source, first: &Frame, fov_x: Option<f64>, sound: bool) -> any
     Ok(if sound { Hello { sound: "opus".into(), sound_rate: SOUND.0, sound_channels: SOUND.1, ..hello } } else { hello })
 }
 
-/// Publishes until the source ends.
 pub(super) fn publish(args: &PublishArgs) -> anyhow::Result<()> {
     if !(args.rate > 0.0 && args.rate <= 1000.0) {
         return Err(super::Usage("--rate: more than 0 and up to 1000 frames a second".into()).into());
@@ -137,7 +135,6 @@ struct Sent {
     frames: u64,
     bytes: u64,
     left_out: u64,
-    /// Packets of sound.
     sounds: u64,
 }
 
@@ -155,9 +152,6 @@ struct Sender {
 
 impl Sender {
     /// Sends frames to the end of the source; reconnects when a connection breaks.
-    ///
-    /// # Errors
-    /// The first connection fails, or reconnecting is useless.
     async fn publish(&mut self, addresses: &mut Addresses<'_>, hello: &Hello) -> anyhow::Result<()> {
         let published = addresses.sessions("publish", async |socket| {
             let before = self.sent.frames;
@@ -255,11 +249,8 @@ async fn send(socket: &mut Socket, kind: Kind) -> Result<(), Failure> {
     }
 }
 
-/// State of the server's messages.
 struct Heard {
-    /// Number of frames that may be sent.
     credit: u32,
-    /// Time of the last message.
     at: Instant,
     /// See [`SILENCE`].
     silence: Duration,

@@ -34,9 +34,6 @@ pub(super) struct Sound {
 
 impl Sound {
     /// Opens a port on loopback.
-    ///
-    /// # Errors
-    /// The socket cannot be bound.
     pub(super) async fn open() -> std::io::Result<Self> {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await?;
         let port = socket.local_addr()?.port();

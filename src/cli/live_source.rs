@@ -14,7 +14,6 @@ use super::live_program::Program;
 use super::live_rtp::Sound;
 use super::note;
 
-/// A frame to send.
 #[derive(Clone)]
 pub(super) struct Frame {
     pub(super) data: Bytes,
@@ -22,7 +21,6 @@ pub(super) struct Frame {
     pub(super) depth: Option<Bytes>,
 }
 
-/// Frames of a folder or a program.
 pub(super) enum Source {
     /// Files of a folder, the index of the next, and the kind of the depth maps beside them.
     Folder(Vec<PathBuf>, usize, DepthKind),
@@ -32,9 +30,6 @@ pub(super) enum Source {
 
 impl Source {
     /// Opens the frames of an origin, and its sound if it has sound and `options` ask for it.
-    ///
-    /// # Errors
-    /// The file does not exist or has no frame, or ffmpeg cannot read it.
     pub(super) async fn open(origin: Origin<'_>, depth: DepthKind, options: InputOptions) -> anyhow::Result<(Self, Option<Sound>)> {
         if let Origin::Address(source) = origin
             && Path::new(source).is_dir()
@@ -48,7 +43,6 @@ impl Source {
         Ok((Self::Program(program.into()), sound))
     }
 
-    /// JPEG files of a folder.
     fn folder(folder: &Path, depth: DepthKind) -> anyhow::Result<Self> {
         let mut files: Vec<PathBuf> = std::fs::read_dir(folder)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
         files.retain(|f| f.extension().is_some_and(|e| e.eq_ignore_ascii_case("jpg") || e.eq_ignore_ascii_case("jpeg")));

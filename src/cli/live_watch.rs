@@ -2,7 +2,6 @@
 
 use std::io::Write as _;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -10,17 +9,13 @@ use bytes::Bytes;
 use futures_util::StreamExt as _;
 use tokio::time::timeout;
 
+use tmpi_core::live::schema::Bye;
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::schema::{self, Bye, Hello, Video};
-use tmpi_core::live::{FrameTiming, Layers, TileState, read};
-use tmpi_core::{Camera, Photo, Pose};
-use tmpi_live::video::{self, Decoder};
-use tmpi_render::{Cpu, PictureFormat, Renderer as _, encode};
+use tmpi_core::live::{TileState, read};
 
 use super::live_client::{AGAIN, Addresses, SessionEnd, Socket, Unreached, micros, received};
-use super::render::pose;
-use super::{files, result};
+use super::result;
 
 /// Silence after which the server counts as lost: it sends something every second.
 const SILENCE: Duration = Duration::from_secs(3);
@@ -28,7 +23,7 @@ const SILENCE: Duration = Duration::from_secs(3);
 const AFTER_PUBLISHER: Duration = Duration::from_secs(1);
 const AFTER_FULL: Duration = Duration::from_secs(5);
 
-/// Watch a room: print statistics, and optionally record or render it
+/// Watch a room: print statistics, and optionally record it
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct WatchArgs {
     /// URL of the room; several, separated by commas, if nodes share it: when one fails, the client goes on to the next
@@ -43,29 +38,17 @@ pub(super) struct WatchArgs {
     /// Write every message to this file, each preceded by its length in four bytes, little endian
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Render the view from --pose into this folder, as numbered PNG files
-    #[arg(long, value_name = "DIR")]
-    render: Option<PathBuf>,
-    /// Position and direction of the camera, as for `render`
-    #[arg(long, requires = "render", value_parser = pose, allow_hyphen_values = true, default_value = "0,0,0", value_name = "TX,TY,TZ[,YAW,PITCH,ROLL]")]
-    pose: Pose,
-    /// Render every Nth frame
-    #[arg(long, requires = "render", value_parser = clap::value_parser!(u64).range(1..), default_value_t = 30, value_name = "N")]
-    every: u64,
     /// Print a line of JSON each second
     #[arg(long)]
     json: bool,
 }
 
-/// Statistics of one second.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 struct Second {
     frames: u64,
     video_bytes: u64,
     geometry_bytes: u64,
     tiles: u64,
-    /// Rendered views.
-    drawn: u64,
     /// Longest time from a frame's timestamp, by the publisher's clock, to its arrival.
     latency_ms: f64,
     /// From here on: reported by the server.
@@ -100,14 +83,12 @@ struct Watcher<'a> {
     /// The recording, created by the first message: a room without a publisher must not empty an earlier one.
     record: Option<std::fs::File>,
     second: Second,
-    /// Frames in total.
     frames: u64,
 }
 
 impl Watcher<'_> {
-    /// Watches on one connection.
     async fn watch(&mut self, mut socket: Socket) -> anyhow::Result<Option<SessionEnd>> {
-        let (mut shown, mut begun, before) = (None, Some(Instant::now()), self.frames);
+        let (mut model, mut begun, before) = (None, Some(Instant::now()), self.frames);
         let (error, again) = loop {
             let Ok(came) = timeout(SILENCE, socket.next()).await else {
                 break (anyhow::anyhow!("nothing came for {} s", SILENCE.as_secs()), Some(AGAIN));
@@ -123,7 +104,7 @@ impl Watcher<'_> {
             if let Some(file) = &mut self.record {
                 file.write_all(&(bytes.len() as u32).to_le_bytes()).and_then(|()| file.write_all(&bytes))?;
             }
-            if let Some(bye) = self.take(bytes, &mut shown, &mut begun)? {
+            if let Some(bye) = self.take(bytes, &mut model, &mut begun)? {
                 let pause = match bye.cause() {
                     Cause::Left | Cause::Rejected => AFTER_PUBLISHER,
                     Cause::Full => AFTER_FULL,
@@ -136,29 +117,24 @@ impl Watcher<'_> {
     }
 
     /// Handles a message; returns the server's farewell. `begun` is the start of the session until the first tiles come.
-    fn take(&mut self, bytes: Bytes, shown: &mut Option<Shown>, begun: &mut Option<Instant>) -> anyhow::Result<Option<Bye>> {
+    fn take(&mut self, bytes: Bytes, model: &mut Option<TileState>, begun: &mut Option<Instant>) -> anyhow::Result<Option<Bye>> {
         let (length, second, args) = (bytes.len() as u64, &mut self.second, self.args);
         match read(bytes)? {
             Kind::Hello(hello) => {
                 eprintln!("tmpi live watch: {}×{}, {}, epoch {}", hello.width, hello.height, hello.codec, hello.epoch);
-                *shown = Some(Shown::new(&hello, args.render.is_some())?);
+                *model = Some(TileState::new(&hello)?);
             }
             Kind::Video(video) => {
                 self.frames += 1;
                 second.frames += 1;
                 second.video_bytes += length;
-                let shown = shown.as_mut().context("a frame before HELLO")?;
-                let drawn = shown.frame(&video, args)?;
-                second.drawn += u64::from(drawn);
                 second.latency_ms = second.latency_ms.max((micros() as f64 - video.time as f64) / 1e3);
             }
             Kind::Geometry(g) | Kind::Snapshot(g) => {
                 second.geometry_bytes += length;
-                let shown = shown.as_mut().context("tiles before HELLO")?;
-                let (count, drawn) = shown.tiles(&g, args)?;
-                second.tiles += count as u64;
-                second.drawn += u64::from(drawn);
-                if let Some(begun) = begun.take_if(|_| shown.model.geometry().is_some()) {
+                let model = model.as_mut().context("tiles before HELLO")?;
+                second.tiles += model.take(&g)?.len() as u64;
+                if let Some(begun) = begun.take_if(|_| model.geometry().is_some()) {
                     eprintln!("tmpi live watch: the first tiles after {:.0} ms", begun.elapsed().as_secs_f64() * 1e3);
                 }
             }
@@ -172,78 +148,6 @@ impl Watcher<'_> {
             _ => {}
         }
         Ok(None)
-    }
-}
-
-/// The state of a room, and its pictures with `--render`.
-struct Shown {
-    model: TileState,
-    /// With `--render`.
-    pictures: Option<Pictures>,
-}
-
-struct Pictures {
-    decoder: Box<dyn Decoder>,
-    layers: Layers,
-    renderer: Cpu,
-    /// The newest frame, with its number and timestamp, until its tiles or the next frame come.
-    waits: Option<(u64, Duration, Photo)>,
-    /// Timestamp of the shown frame.
-    shown: Duration,
-    /// Tiles that came since the shown frame.
-    changed: Vec<u32>,
-    /// The newest frame of these tiles.
-    tiles_of: Option<u64>,
-}
-
-impl Shown {
-    fn new(hello: &Hello, draws: bool) -> anyhow::Result<Self> {
-        let decoder = || video::decoder(&hello.codec, (hello.width, hello.height));
-        let (layers, renderer) = (Layers::with_memory(), Cpu::default());
-        let of = |decoder| Pictures { decoder, layers, renderer, waits: None, shown: Duration::ZERO, changed: Vec::new(), tiles_of: None };
-        Ok(Self { model: TileState::new(hello)?, pictures: draws.then(decoder).transpose()?.map(of) })
-    }
-
-    /// Takes a frame. Shows the previous frame without its tiles if they have not come; true if that frame was rendered.
-    fn frame(&mut self, video: &Video, args: &WatchArgs) -> anyhow::Result<bool> {
-        let drawn = self.settle(args)?;
-        if let Some(pictures) = &mut self.pictures {
-            // the next key frame repairs a damaged one
-            let decoded = pictures.decoder.decode(&video.data).ok().flatten();
-            pictures.waits = decoded.map(|photo| (video.frame, Duration::from_micros(video.time), photo));
-        }
-        Ok(drawn)
-    }
-
-    /// Takes tiles; returns how many changed, and whether their frame was rendered.
-    fn tiles(&mut self, tiles: &schema::Geometry, args: &WatchArgs) -> anyhow::Result<(usize, bool)> {
-        let changed = self.model.take(tiles)?;
-        let count = changed.len();
-        let Some(pictures) = &mut self.pictures else { return Ok((count, false)) };
-        pictures.changed.extend(changed);
-        pictures.tiles_of = pictures.tiles_of.max(Some(tiles.frame));
-        let of_it = pictures.waits.as_ref().is_some_and(|(frame, ..)| tiles.frame >= *frame);
-        Ok((count, of_it && self.settle(args)?))
-    }
-
-    /// Shows the waiting frame, as the page does, and renders it if `--every` selects it; true if it was rendered.
-    fn settle(&mut self, args: &WatchArgs) -> anyhow::Result<bool> {
-        let (Some(pictures), Some(folder)) = (&mut self.pictures, &args.render) else { return Ok(false) };
-        let Some(geometry) = self.model.geometry() else { return Ok(false) };
-        let Some((frame, at, photo)) = pictures.waits.take() else { return Ok(false) };
-        let Photo { width, height, .. } = photo;
-        let changed = std::mem::take(&mut pictures.changed);
-        let elapsed = Some(at.saturating_sub(std::mem::replace(&mut pictures.shown, at)));
-        let when = FrameTiming { frame, tiles: pictures.tiles_of.take(), elapsed };
-        pictures.layers.update(geometry, |t| changed.contains(&t), photo, when);
-        if !frame.is_multiple_of(args.every) {
-            return Ok(false);
-        }
-        let scene = pictures.layers.scene(geometry);
-        let camera = Camera { pose: args.pose, intrinsics: geometry.intrinsics, width, height };
-        let view = pictures.renderer.render(&Arc::new(scene), &camera)?;
-        files::write(&folder.join(format!("{frame:06}.png")), &encode(&view, PictureFormat::Png, 0)?)?;
-        Ok(true)
     }
 }
 

@@ -18,7 +18,6 @@ impl Bars {
         Self { all: MultiProgress::new(), quiet }
     }
 
-    /// Adds a bar for the photo `name`.
     pub(super) fn bar(&self, name: &str) -> Bar {
         let line = (!self.quiet && std::io::stderr().is_terminal()).then(|| {
             let bar = self.all.add(ProgressBar::new(1));
@@ -42,7 +41,6 @@ impl Bars {
     }
 }
 
-/// Progress of one photo.
 pub(super) struct Bar {
     name: String,
     line: Option<ProgressBar>,

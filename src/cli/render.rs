@@ -66,8 +66,7 @@ pub(super) struct RenderArgs {
     json: bool,
 }
 
-/// Three to six numbers.
-pub(super) fn pose(text: &str) -> Result<Pose, String> {
+fn pose(text: &str) -> Result<Pose, String> {
     let all = numbers(text)?;
     if !(3..=6).contains(&all.len()) {
         return Err("expected three to six numbers".into());

@@ -200,14 +200,13 @@ impl ServeArgs {
             Some(settings) => models::load(&settings)?,
             None => photos.clone(),
         };
-        let rooms = Rooms::new(live::Config { models, frame_ms: bounds.budget_ms, key }).with_limits(bounds);
+        let rooms = Rooms::new(models, key).with_limits(bounds);
         Ok(Some(match self.advertise.clone() {
             Some(address) => rooms.shared(address),
             None => rooms,
         }))
     }
 
-    /// The presets.
     fn presets(&self, limits: &Limits) -> anyhow::Result<Presets> {
         Presets::new(&self.preset, self.presets_only, limits).map_err(|e| Usage(format!("--preset: {e}")).into())
     }

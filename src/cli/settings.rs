@@ -14,17 +14,13 @@ use crate::server::Limits;
 /// The table of ungrouped fields.
 const PLAIN: &str = "limits";
 
-/// A setting.
 #[derive(Debug)]
 pub(super) struct Setting {
     pub table: String,
-    /// Its key in the table.
     pub key: String,
-    /// Its JSON schema.
     schema: Value,
 }
 
-/// A setting and its value.
 #[derive(Clone, Debug)]
 pub(super) struct Assignment {
     pub setting: &'static Setting,
@@ -46,7 +42,6 @@ fn tables() -> Vec<(String, Value)> {
     std::iter::once((PLAIN.to_owned(), whole)).chain(groups).collect()
 }
 
-/// All settings, table by table.
 pub(super) fn all() -> &'static [Setting] {
     static ALL: LazyLock<Vec<Setting>> = LazyLock::new(|| {
         let of = |(table, schema): (String, Value)| {
@@ -82,9 +77,6 @@ impl Setting {
     }
 
     /// Parses a value.
-    ///
-    /// # Errors
-    /// The value is not a number in the setting's range; the message names both.
     pub fn parse(&'static self, text: &str) -> Result<Assignment, String> {
         let bound = |name: &str| self.schema[name].as_f64();
         let is_whole = self.schema["type"] != "number";
@@ -99,9 +91,6 @@ impl Setting {
 }
 
 /// Reads `TABLE.KEY=VALUE`.
-///
-/// # Errors
-/// The setting is unknown, or its value is invalid.
 pub(super) fn assignment(text: &str) -> Result<Assignment, String> {
     let named = text.split_once('=').and_then(|(name, value)| Some((name.trim().split_once('.')?, value.trim())));
     let ((table, key), value) = named.ok_or("TABLE.KEY=VALUE is expected, as rates.uploads=30")?;
@@ -109,9 +98,6 @@ pub(super) fn assignment(text: &str) -> Result<Assignment, String> {
 }
 
 /// `usual` with the assignments applied.
-///
-/// # Errors
-/// None for assignments from [`Setting::parse`].
 pub(super) fn applied(usual: &Limits, said: &[Assignment]) -> serde_json::Result<Limits> {
     let mut all = serde_json::to_value(usual)?;
     for Assignment { setting, value } in said {

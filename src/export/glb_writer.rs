@@ -8,7 +8,6 @@ use tmpi_core::Scene;
 
 /// Near plane of the file's camera.
 const NEAR: f64 = 0.05;
-/// Extension for WebP textures.
 const WEBP: &str = "EXT_texture_webp";
 
 // constants of glTF for accessors, buffer views and samplers
@@ -25,7 +24,6 @@ pub(super) struct Vertices {
     coordinates: usize,
 }
 
-/// A file under construction.
 #[derive(Default)]
 pub(super) struct File {
     binary: Vec<u8>,

@@ -12,9 +12,7 @@ use crate::assets;
 
 /// Template of the page; `{{…}}` are placeholders.
 const PAGE: &str = include_str!("page.html");
-/// Style sheet of the page.
 const STYLE: &str = include_str!("page.css");
-/// Module loader.
 const LOADER: &str = include_str!("module-loader.js");
 /// Entry module, with paths relative to the top of the viewer's folders.
 const ENTRY: &str = include_str!("page.js");

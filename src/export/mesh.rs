@@ -70,7 +70,6 @@ pub(super) const MAX_DISPLACEMENT: f64 = 0.2;
 /// Points closer than this are merged, in pixels.
 const MERGE_DISTANCE: f64 = 1e-6;
 
-/// A corner of a polygon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Corner {
     /// Position in space: x right, y up, z backward, as in glTF.
@@ -157,7 +156,6 @@ fn cut(polygon: &[[f64; 2]], inside: impl Fn([f64; 2]) -> f64) -> Vec<[f64; 2]> 
     out
 }
 
-/// Vertices and triangles.
 #[derive(Default)]
 pub(super) struct Mesh {
     pub positions: Vec<[f32; 3]>,

@@ -8,10 +8,16 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
 use super::visible_surface::{inpainted, visible_disparity};
-use super::{ExportError, bands, texture_atlas};
+use super::{ExportError, texture_atlas};
 use tmpi_core::{Photo, Scene};
 use tmpi_pipeline::depth::to_png;
 use tmpi_pipeline::photo::{reduced_size, resize};
+use tmpi_pipeline::planes::ClusterTable;
+
+/// Range of the number of bands of disparity, unless the photo has fewer distances.
+const BANDS: std::ops::RangeInclusive<usize> = 3..=8;
+/// RMS deviation of δ from its band's mean above which another band is added.
+const SPREAD: f64 = 0.06;
 
 /// Alpha of a layer one and two pixels beyond its edge over farther layers. Its colour there is the photo's, so unmoved layers show the
 /// photo.
@@ -34,7 +40,7 @@ const THUMBNAIL: u32 = 256;
 pub fn ora(scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, ExportError> {
     let (photo, map) = (&scene.photo, visible_disparity(scene));
     let (width, height) = (photo.width, photo.height);
-    let bounds = bands::bounds(&map.delta);
+    let bounds = bounds(&map.delta);
     let band: Vec<u8> = map.delta.iter().map(|d| bounds.iter().filter(|&b| d >= b).count() as u8).collect();
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     // pictures are already compressed, and the format requires an uncompressed `mimetype` at the start
@@ -74,6 +80,13 @@ pub fn ora(scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, Expor
     let (w, h) = reduced_size((width, height), Some(THUMBNAIL));
     add("Thumbnails/thumbnail.png", &png(resize(photo, w, h).rgb.as_flattened(), w, h, ExtendedColorType::Rgb8)?)?;
     Ok(archive.finish()?.into_inner())
+}
+
+/// Bounds between bands of disparity, ascending: one fewer than bands. Uses the fewest bands that keep to [`SPREAD`].
+fn bounds(delta: &[f32]) -> Vec<f32> {
+    let table = ClusterTable::new(delta, &vec![1.0; delta.len()], *BANDS.end());
+    let count = (*BANDS.start()..=*BANDS.end()).find(|n| table.deviation(*n) <= SPREAD).unwrap_or(*BANDS.end());
+    table.centres(count).windows(2).map(|pair| ((pair[0] + pair[1]) / 2.0) as f32).collect()
 }
 
 fn element(name: &str, file: &str, shown: bool) -> String {
@@ -160,7 +173,7 @@ mod tests {
         let file = |name: &str| &files.iter().find(|f| f.0 == name).unwrap_or_else(|| panic!("{name}")).1;
         let stack = String::from_utf8(file("stack.xml").clone()).unwrap();
         let shown: Vec<&str> = stack.lines().filter(|l| l.contains("visibility=\"visible\"")).collect();
-        assert!(bands::COUNT.contains(&shown.len()), "{stack}");
+        assert!(BANDS.contains(&shown.len()), "{stack}");
         assert!(shown[0].contains("nearest") && shown[shown.len() - 1].contains("farthest"), "{stack}");
         let mut over = vec![[0f64; 3]; scene.photo.rgb.len()];
         for (i, line) in shown.iter().rev().enumerate() {
@@ -187,6 +200,22 @@ mod tests {
             assert!(image::load_from_memory(file(name)).is_ok(), "{name}");
         }
         assert!(matches!(ora(scene, &|| true), Err(ExportError::Cancelled)));
+    }
+
+    #[test]
+    fn separate_distances_get_separate_bands_and_a_slope_equal_ones() {
+        let of = |at: &[f32]| bounds(&(0..4000).map(|i| at[i % at.len()] + (i % 7) as f32 * 1e-3).collect::<Vec<_>>());
+        let got = of(&[0.0, 0.5, 1.0]);
+        assert!(got.len() == 2 && (got[0] - 0.25).abs() < 0.02 && (got[1] - 0.75).abs() < 0.02, "{got:?}");
+        assert_eq!(of(&[0.05, 0.3, 0.5, 0.7, 0.95]).len(), 4);
+        assert!(bounds(&[0.4; 100]).is_empty() && bounds(&[]).is_empty());
+        let slope: Vec<f32> = (0..10_000).map(|i| i as f32 / 1e4).collect();
+        let got = bounds(&slope);
+        // the fewest that keep to the spread, which is 1 / (√12 · bands) on a slope
+        assert_eq!(got.len(), 4);
+        assert!(got.iter().enumerate().all(|(i, b)| (b - (i + 1) as f32 / 5.0).abs() < 0.01), "{got:?}");
+        let steep: Vec<f32> = slope.iter().map(|d| d * 50.0).collect();
+        assert_eq!(bounds(&steep).len() + 1, *BANDS.end());
     }
 
     #[test]

@@ -14,14 +14,12 @@ const GUTTER: u32 = 1;
 /// Position of a layer on a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Placement {
-    /// Index of the layer.
     pub layer: usize,
     /// Its first texel, inside the gutter.
     pub x: u32,
     pub y: u32,
 }
 
-/// One texture page.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Page {
     pub width: u32,
@@ -87,7 +85,6 @@ pub(super) fn paint(scene: &Scene, page: &Page) -> Vec<[u8; 4]> {
     rgba
 }
 
-/// Encodes RGBA as PNG.
 pub(super) fn png(width: u32, height: u32, rgba: &[[u8; 4]]) -> Result<Vec<u8>, ExportError> {
     let mut out = Vec::new();
     PngEncoder::new_with_quality(&mut out, CompressionType::Default, FilterType::Adaptive).write_image(

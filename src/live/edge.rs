@@ -29,35 +29,25 @@ const UNWATCHED: Duration = Duration::from_secs(3);
 const LOOK: Duration = Duration::from_millis(500);
 const COUNT: Duration = Duration::from_secs(2);
 
-/// Why a subscription failed.
 #[derive(Debug, thiserror::Error)]
 pub enum EdgeError {
-    /// The origin's address is invalid.
     #[error("the origin's address is invalid")]
     Address,
-    /// The origin is silent.
     #[error("the origin is silent")]
     Silent,
-    /// The origin has closed the connection.
     #[error("the origin has closed the connection")]
     Closed,
-    /// The origin sent an invalid HELLO, or one of an older epoch.
     #[error("the origin sent an invalid HELLO, or one of an older epoch")]
     Stale,
-    /// The connection failed.
     #[error(transparent)]
     Socket(#[from] tungstenite::Error),
-    /// The database cannot be reached.
     #[error(transparent)]
     Library(#[from] LibraryError),
 }
 
-/// Why a subscription ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum SubscriptionEnd {
-    /// The room has no viewers here.
     Unwatched,
-    /// The origin ended it.
     Bye(Bye),
 }
 

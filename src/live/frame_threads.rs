@@ -22,22 +22,16 @@ use super::room::{FrameWithTiles, Room};
 /// Most frames that wait to be decoded: more than the publisher's credit, so a full queue is a fault.
 const WAITING: usize = 4;
 
-/// An encoded frame.
 pub struct EncodedFrame {
-    /// Its number.
     pub frame: u64,
-    /// Its data.
     pub data: Bytes,
     /// Its measured depth, packed.
     pub depth: Option<Bytes>,
-    /// When it came.
     pub at: Instant,
 }
 
-/// The outcome of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DecodeOutcome {
-    /// It was decoded.
     Picture,
     /// It is damaged, or refers to a damaged frame.
     Broken(String),
@@ -68,9 +62,6 @@ struct Waiting {
 impl FrameThreads {
     /// Starts the threads for `epoch`. `geometry` makes a driver, and another one after a panic. `done` receives the outcome of each frame
     /// in order.
-    ///
-    /// # Errors
-    /// The system cannot start a thread.
     pub fn start(
         (room, epoch): (Arc<Room>, u64),
         mut decoder: Box<dyn Decoder>,
@@ -273,7 +264,6 @@ mod tests {
         assert_eq!(tiles, &newest.tiles.geometry.tiles);
     }
 
-    /// A decoder that panics.
     struct Panics;
 
     impl Decoder for Panics {

@@ -175,12 +175,9 @@ fn rest(pieces: Pieces, held: ConnectionGuard, stop: CancellationToken) -> impl 
 /// Reads the messages of a group.
 struct Pieces {
     room: Arc<Room>,
-    /// Notifies of changes of the room.
     changes: watch::Receiver<u64>,
     group: Group,
-    /// Number of the next message.
     at: usize,
-    /// All messages were read.
     whole: bool,
 }
 

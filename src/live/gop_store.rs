@@ -18,7 +18,6 @@ use tmpi_core::live::write;
 
 /// Most groups, with the growing one.
 const KEPT: usize = 4;
-/// Most bytes of all groups.
 const KEPT_BYTES: usize = 8 << 20;
 /// Shortest duration of a group: in a stream of key frames alone, one group per frame would be too short.
 const LEAST: Duration = Duration::from_secs(1);
@@ -26,9 +25,7 @@ const LEAST: Duration = Duration::from_secs(1);
 /// Address of a group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Group {
-    /// The epoch of HELLO.
     pub epoch: u64,
-    /// Counts from 0.
     pub number: u64,
 }
 
@@ -49,12 +46,9 @@ impl FromStr for Group {
     }
 }
 
-/// A part of a group.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum GroupPart {
-    /// The message.
     Message(Bytes),
-    /// The message has not come yet.
     Wait,
     /// The group ends before this message.
     End,
@@ -74,7 +68,6 @@ struct KeptGroup {
     whole: bool,
 }
 
-/// The groups of a publisher.
 #[derive(Default)]
 pub struct Groups {
     kept: VecDeque<KeptGroup>,
@@ -103,14 +96,12 @@ impl Groups {
         }
     }
 
-    /// Completes the last group.
     pub fn end(&mut self) {
         if let Some(last) = self.kept.back_mut() {
             last.whole = true;
         }
     }
 
-    /// Number of the newest group.
     pub fn last(&self) -> Option<u64> {
         self.kept.back().map(|k| k.number)
     }

@@ -84,21 +84,9 @@ const BROKEN: u32 = 30;
 const BROKEN_FIRST: u32 = 10;
 /// Panics in a row of the geometry before the server disconnects the publisher.
 const PANICS: u32 = 10;
-/// Longest name, in bytes.
 const NAME: usize = 64;
 /// How long a room waits for its publisher to come back.
 const COME_BACK: Duration = Duration::from_secs(10);
-
-/// Configuration of rooms.
-#[derive(Clone)]
-pub struct Config {
-    /// The networks.
-    pub models: Models,
-    /// Time budget for the geometry of a frame, in milliseconds.
-    pub frame_ms: f64,
-    /// Key that signs tokens; without it only this machine's own user may enter rooms.
-    pub key: Option<Vec<u8>>,
-}
 
 /// Limits of rooms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -134,7 +122,8 @@ impl Default for RoomLimits {
 
 /// All rooms of a server.
 pub struct Rooms {
-    config: Config,
+    models: Models,
+    key: Option<Vec<u8>>,
     bounds: RoomLimits,
     named: Mutex<HashMap<String, Named>>,
     address: Option<NodeAddress>,
@@ -170,10 +159,11 @@ impl Drop for RoomHandle {
 }
 
 impl Rooms {
-    /// Starts without rooms.
-    pub fn new(config: Config) -> Self {
+    /// Starts without rooms. `key` signs tokens; without it only this machine's own user may enter rooms.
+    pub fn new(models: Models, key: Option<Vec<u8>>) -> Self {
         Self {
-            config,
+            models,
+            key,
             bounds: RoomLimits::default(),
             named: Mutex::default(),
             address: None,
@@ -205,7 +195,6 @@ impl Rooms {
         }
     }
 
-    /// Metrics.
     pub(crate) fn counts(&self) -> [Metric; 2] {
         let (all, edges) = {
             let rooms = self.lock();

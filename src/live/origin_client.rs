@@ -63,7 +63,6 @@ impl NodeAddress {
     }
 }
 
-/// A socket to an origin.
 pub type Socket = WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>;
 
 /// This node's access to the other nodes.
@@ -76,9 +75,6 @@ pub struct Nodes {
 }
 
 impl Nodes {
-    ///
-    /// # Errors
-    /// The system's certificates cannot be read.
     pub fn new(library: Library, address: NodeAddress, stop: CancellationToken) -> Result<Self, reqwest::Error> {
         // fails if the program has installed one already
         let _ = rustls::crypto::ring::default_provider().install_default();
@@ -106,9 +102,6 @@ impl Nodes {
     }
 
     /// Subscribes to a room at its origin, as a viewer does.
-    ///
-    /// # Errors
-    /// The origin refuses or cannot be reached.
     pub async fn subscribe(&self, origin: &Origin, room: &str) -> Result<Socket, EdgeError> {
         let address = origin.address.strip_prefix("http").ok_or(EdgeError::Address)?;
         let mut request = format!("ws{address}/v1/live/{room}/subscribe").into_client_request()?;

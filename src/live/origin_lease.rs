@@ -18,9 +18,6 @@ const RENEW: Duration = Duration::from_secs(1);
 
 impl Nodes {
     /// Claims a room for this node; takes it over from another node.
-    ///
-    /// # Errors
-    /// The database cannot be reached.
     pub async fn claim(&self, room: &str) -> Result<Lease, LibraryError> {
         let origin = self.library.claim_room(room, &self.address.url, LEASE).await?;
         let (library, room, lost) = (self.library.clone(), room.to_owned(), CancellationToken::new());
@@ -29,9 +26,6 @@ impl Nodes {
     }
 
     /// The other node that has a room, if any.
-    ///
-    /// # Errors
-    /// The database cannot be reached.
     pub async fn origin(&self, room: &str) -> Result<Option<Origin>, LibraryError> {
         Ok(self.library.room(room).await?.filter(|origin| origin.address != self.address.url))
     }

@@ -16,6 +16,7 @@ use tmpi_core::live::schema::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, TileState, VERSION, read, write};
 use tmpi_live::video::{Decoder, VideoError};
 use tmpi_live::{FramePipeline, Settings, access_units, video};
+use tmpi_pipeline::Models;
 
 use super::frame_threads::{DecodeOutcome, EncodedFrame, FrameThreads};
 use super::origin_lease::{Lease, lost};
@@ -24,7 +25,7 @@ use super::ring::MessageKind;
 use super::room::Room;
 use super::token_bucket::Bucket;
 use super::viewer::gone;
-use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, FASTEST, HEARTBEAT, PANICS, RoomHandle, SILENCE, disconnect};
+use super::{BROKEN, BROKEN_FIRST, CREDIT, FASTEST, HEARTBEAT, PANICS, RoomHandle, SILENCE, disconnect};
 use crate::server::since_1970;
 
 /// Allowed sides of a frame, in pixels.
@@ -65,7 +66,6 @@ struct Refused {
     reason: String,
     /// The publisher may come back.
     again: bool,
-    /// The cause, for its program.
     cause: Cause,
 }
 
@@ -103,7 +103,7 @@ async fn session<'a>(
     let Some(first) = next(socket, Instant::now() + SILENCE).await? else { return Ok(()) };
     let Kind::Hello(hello) = first else { return Err("the first message must be HELLO".into()) };
     // check before taking the room: viewers need not know of a refused publisher
-    checked(hello.clone(), &rooms.config)?;
+    checked(hello.clone(), room.bounds.budget_ms)?;
     decoder(&hello)?;
     if !room.claim_seat() {
         return Err(Refused { cause: Cause::Taken, .."someone publishes in this room".into() });
@@ -146,7 +146,6 @@ struct Until<'a> {
 
 /// How a publisher has left.
 enum Gone {
-    /// It sent BYE.
     Said,
     /// Its connection broke: it may come back.
     Lost,
@@ -163,11 +162,11 @@ struct Show {
 
 impl Show {
     /// Begins an epoch of the room, at least `least`, with the pictures of `hello`. `done` receives the outcome of each frame.
-    fn begin(room: &Arc<Room>, hello: Hello, least: u64, config: &Config, done: mpsc::Sender<DecodeOutcome>) -> Result<Self, Refused> {
-        let (settings, hello) = checked(hello, config)?;
+    fn begin(room: &Arc<Room>, hello: Hello, least: u64, models: &Models, done: mpsc::Sender<DecodeOutcome>) -> Result<Self, Refused> {
+        let (settings, hello) = checked(hello, room.bounds.budget_ms)?;
         let decoder = decoder(&hello)?;
         let epoch = room.publish(hello.clone(), since_1970().as_micros() as u64, least);
-        let models = config.models.clone();
+        let models = models.clone();
         let geometry = move || FramePipeline::new(models.clone(), settings.clone());
         let threads =
             FrameThreads::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
@@ -215,7 +214,7 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
     let (done, mut decoded) = mpsc::channel(16);
     // without a lease the clock, so that URLs of groups are not reused after a restart
     let least = until.lease.map_or_else(|| since_1970().as_millis() as u64, Lease::epoch);
-    let mut show = Show::begin(room, hello, least, &rooms.config, done.clone())?;
+    let mut show = Show::begin(room, hello, least, &rooms.models, done.clone())?;
     let mut frames = Frames { most: rooms.bounds.frame, next: None, allowed: 0, due: Instant::now(), broken: 0, seen: false };
     let (mut depth, mut resizes) = (None, Bucket::new(RESIZES.0, RESIZES.1));
     let mut sounds = [PACKETS, SOUND].map(|rate| Bucket::new(rate, BURST * rate));
@@ -257,7 +256,7 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                         return Err("pictures change their size more than once a second".into());
                     }
                     // the old threads finish their frames and report them
-                    show = Show::begin(room, hello, 0, &rooms.config, done.clone())?;
+                    show = Show::begin(room, hello, 0, &rooms.models, done.clone())?;
                 }
                 if show.hello.codec.starts_with("avc1.") {
                     in_order_and_upright(&video.data)?;
@@ -330,7 +329,7 @@ fn broke(error: &axum::Error) -> Refused {
 }
 
 /// Checks HELLO. Returns the settings for the geometry, and the HELLO for viewers.
-fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
+fn checked(hello: Hello, frame_ms: f64) -> Result<(Settings, Hello), String> {
     let Hello { version, codec, width, height, fov_x, sound, sound_rate, sound_channels, .. } = hello;
     if version != VERSION {
         return Err(format!("messages of version {version}; this server's are of version {VERSION}"));
@@ -345,7 +344,7 @@ fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
     if codec.len() > CODEC || sound.len() > CODEC {
         return Err("invalid codec string".into());
     }
-    let mut settings = Settings { frame_ms: config.frame_ms, ..Settings::default() };
+    let mut settings = Settings { frame_ms, ..Settings::default() };
     if fov_x != 0.0 {
         settings.options.fov_x = Some(fov_x);
         settings.options.validate().map_err(|e| e.to_string())?;
@@ -360,7 +359,6 @@ struct Frames {
     most: usize,
     /// Number of the next frame; `None` before the first.
     next: Option<u64>,
-    /// Remaining credit.
     allowed: u32,
     /// When the next credit is due, which limits the frame rate.
     due: Instant,

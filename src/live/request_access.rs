@@ -14,7 +14,6 @@ use crate::server::{Pairs, Problem, check_origin, since_1970};
 /// State of the handlers.
 #[derive(Clone)]
 pub struct RoomsContext {
-    /// The rooms.
     pub rooms: Arc<Rooms>,
     /// Set when the server stops.
     pub stop: CancellationToken,
@@ -32,7 +31,7 @@ impl RoomsContext {
             same_site.clone()?;
         }
         let token = query.get("token").or_else(|| token_in_headers(headers));
-        let access = match (&self.rooms.config.key, token, self.rooms.nodes.get()) {
+        let access = match (&self.rooms.key, token, self.rooms.nodes.get()) {
             (_, Some(token), Some(nodes)) if grant == Grant::Watch && nodes.admits(room, token).await => Some(RoomAccess::Node),
             (Some(key), Some(token), _) => {
                 token_expiry(key, grant, room, token, since_1970().as_secs()).map(|ends| RoomAccess::Until(deadline(ends)))
@@ -47,12 +46,10 @@ impl RoomsContext {
     }
 }
 
-/// Granted access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum RoomAccess {
     /// Until a token ends; `None` for this machine's own user.
     Until(Option<Instant>),
-    /// For another node.
     Node,
 }
 

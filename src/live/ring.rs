@@ -19,22 +19,16 @@ pub const BEHIND: Duration = Duration::from_secs(1);
 /// By temporal layer: the share of [`BEHIND_BYTES`] by which a viewer may lag and still get the layer's frames.
 const KEEPS: [f64; 3] = [f64::INFINITY, 0.5, 0.25];
 
-/// The kind of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MessageKind {
-    /// A key frame.
     Key,
     /// A frame of a temporal layer; frames of layers above 0 can be dropped.
     Frame {
-        /// The layer.
         layer: u32,
     },
-    /// Planes and labels.
     Geometry {
-        /// Their frame.
         frame: u64,
     },
-    /// Sound.
     Sound,
 }
 
@@ -47,7 +41,6 @@ struct Entry {
     passed: u64,
 }
 
-/// The messages.
 #[derive(Debug, Default)]
 pub struct Ring {
     entries: VecDeque<Entry>,
@@ -76,7 +69,6 @@ enum Visibility {
 /// A viewer's place.
 #[derive(Clone, Debug)]
 pub struct Cursor {
-    /// Number of the next message.
     next: u64,
     /// The viewer waits for a key frame.
     waits: bool,
@@ -91,7 +83,6 @@ pub struct Cursor {
     heard: u64,
     /// When the viewer joined or skipped: earlier messages do not count as lag.
     since: Instant,
-    /// Number of frames that it did not get.
     pub skipped: u64,
 }
 
@@ -138,17 +129,14 @@ impl Cursor {
     }
 }
 
-/// What to do next for a viewer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Send this.
     Send(Bytes),
     /// Frames were skipped: send the tiles that came meanwhile.
     Skipped {
         /// The ring has no key frame to continue with.
         wants_key: bool,
     },
-    /// Wait for more.
     Wait,
 }
 
@@ -181,22 +169,18 @@ impl Ring {
         (self.key, self.kept) = (None, 0);
     }
 
-    /// The message with a number.
     fn entry(&self, number: u64) -> Option<&Entry> {
         self.entries.get(number.checked_sub(self.first)? as usize)
     }
 
-    /// Number of the next message.
     fn end(&self) -> u64 {
         self.first + self.entries.len() as u64
     }
 
-    /// Whether the ring holds any message.
     pub fn has_frames(&self) -> bool {
         !self.entries.is_empty()
     }
 
-    /// The last key frame in the ring.
     fn last_key(&self) -> Option<u64> {
         self.key.filter(|key| *key >= self.first)
     }
@@ -217,7 +201,6 @@ impl Ring {
         }
     }
 
-    /// Advances a viewer.
     pub fn step(&self, cursor: &mut Cursor, now: Instant) -> Step {
         match cursor.visibility {
             Visibility::Seen => {}

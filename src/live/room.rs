@@ -19,14 +19,12 @@ use super::{KEYS, RoomLimits};
 
 mod relayed;
 
-/// A room.
 pub struct Room {
     state: Mutex<State>,
     /// Counts changes, for tasks that wait for one.
     changes: watch::Sender<u64>,
     /// Notified when a viewer needs a key frame.
     pub keys: Notify,
-    /// Its limits.
     pub bounds: RoomLimits,
 }
 
@@ -38,7 +36,6 @@ struct State {
     epoch: u64,
     /// The epoch in which the publisher joined; changes of the pictures' size begin further ones.
     publisher_epoch: u64,
-    /// A publisher has the seat.
     taken: bool,
     publishing: bool,
     closed: bool,
@@ -61,15 +58,12 @@ struct State {
     statistics: Statistics,
 }
 
-/// What to do next for a viewer.
 pub enum NextStep {
-    /// Send this.
     Send(Bytes),
     /// Send this, then all tiles: a new epoch began.
     Hello(Arc<Hello>),
     /// Send the tiles that it lacks: frames were skipped.
     Tiles,
-    /// Wait for a change.
     Wait,
     /// The room is closed, or its publisher has gone for good.
     Closed,
@@ -85,14 +79,12 @@ pub struct Viewer {
 /// For whom a viewer watches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ViewerKind {
-    /// For itself.
     Local,
     /// For this many viewers of an edge.
     Edge(u32),
 }
 
 impl Room {
-    /// An empty room.
     pub fn new(bounds: RoomLimits) -> Self {
         Self { state: Mutex::default(), changes: watch::Sender::new(0), keys: Notify::new(), bounds }
     }
@@ -112,17 +104,14 @@ impl Room {
         done
     }
 
-    /// Notifies of every change.
     pub fn watch(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }
 
-    /// Whether no publisher has the seat.
     pub fn is_empty(&self) -> bool {
         !self.lock().taken
     }
 
-    /// Whether a publisher is here.
     pub fn is_publishing(&self) -> bool {
         self.lock().publishing
     }
@@ -133,7 +122,6 @@ impl Room {
         state.taken || state.edge.is_some() || state.groups.is_some()
     }
 
-    /// Whether this is the room's epoch.
     pub fn has_epoch(&self, epoch: u64) -> bool {
         self.lock().epoch == epoch
     }
@@ -177,12 +165,10 @@ impl Room {
         self.update(|state| state.farewell = Some(farewell));
     }
 
-    /// Why the publisher has gone for good.
     pub fn farewell(&self) -> Option<Bye> {
         self.lock().farewell.clone()
     }
 
-    /// Frees the publisher's seat.
     pub fn unpublish(&self) {
         self.update(|state| {
             (state.taken, state.publishing) = (false, false);
@@ -240,7 +226,6 @@ impl Room {
         state.newest_frame = Some(Arc::new(frame));
     }
 
-    /// Updates the statistics.
     pub fn count(&self, count: impl FnOnce(&mut Statistics)) {
         count(&mut self.lock().statistics);
     }
@@ -289,7 +274,6 @@ impl Room {
         Some(bytes)
     }
 
-    /// The statistics for a viewer.
     pub fn statistics(&self, viewer: &Viewer) -> Statistics {
         let state = self.lock();
         Statistics { viewers: state.all_viewers(), skipped: viewer.cursor.skipped, ..state.statistics }
@@ -311,7 +295,6 @@ impl Room {
         part.unwrap_or_else(|tiles| tiles.snapshot().map_or(GroupPart::Gone, GroupPart::Message))
     }
 
-    /// The newest group of pictures.
     pub fn last_group(&self) -> Option<Group> {
         let state = self.lock();
         state.groups.as_ref()?.last().map(|number| Group { epoch: state.epoch, number })
@@ -335,12 +318,10 @@ impl Room {
         Some(Viewer { cursor: state.ring.begin(Instant::now()), epoch: 0, kind })
     }
 
-    /// Number of viewers at all nodes.
     pub fn all_viewers(&self) -> u32 {
         self.lock().all_viewers()
     }
 
-    /// Number of viewers at this node.
     pub fn local_viewers(&self) -> u32 {
         self.lock().viewers as u32
     }
@@ -350,7 +331,6 @@ impl Room {
         self.lock().viewers >= self.bounds.viewers
     }
 
-    /// Removes a viewer.
     pub fn leave(&self, viewer: &Viewer) {
         let mut state = self.lock();
         match viewer.kind {
@@ -359,7 +339,6 @@ impl Room {
         }
     }
 
-    /// Advances a viewer.
     pub fn next(&self, viewer: &mut Viewer) -> NextStep {
         let mut state = self.lock();
         let now = Instant::now();
@@ -414,17 +393,14 @@ impl State {
 }
 
 impl Viewer {
-    /// Pauses everything but sound, or resumes.
     pub const fn pause(&mut self, paused: bool) {
         self.cursor.pause(paused);
     }
 
-    /// Skips to a key frame that it has not got yet: it cannot decode.
     pub const fn skip_to_key(&mut self) {
         self.cursor.skip_to_key();
     }
 
-    /// For whom it watches.
     pub const fn watches(&self) -> ViewerKind {
         self.kind
     }

@@ -35,14 +35,12 @@ pub fn watching_api() -> OpenApiRouter<RoomsContext> {
         .routes(routes!(frames_over_http::group))
 }
 
-/// Routes for publishers.
 pub fn publishing_api() -> OpenApiRouter<RoomsContext> {
     OpenApiRouter::new().routes(routes!(watch_token)).routes(routes!(publish))
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
 
-/// Configures the upgrade.
 fn bounded(upgrade: Upgrade, most: usize) -> Result<WebSocketUpgrade, Problem> {
     let upgrade = upgrade.map_err(|e| Problem::new(StatusCode::UPGRADE_REQUIRED, "upgrade", e.to_string()))?;
     Ok(upgrade.protocols([PROTOCOL]).max_message_size(most).max_frame_size(most).max_write_buffer_size(WRITE_BUFFER))
@@ -163,7 +161,7 @@ async fn watch_token(
 ) -> Result<Json<WatchToken>, Problem> {
     here.check(&name, Grant::Publish, &uri, &headers).await?;
     let query = Pairs::read(&uri, &["token"])?;
-    let token = here.rooms.config.key.as_ref().map(|key| {
+    let token = here.rooms.key.as_ref().map(|key| {
         let (given, now) = (query.get("token").or_else(|| token_in_headers(&headers)), since_1970().as_secs());
         let end = given.and_then(|given| token_expiry(key, Grant::Publish, &name, given, now)).unwrap_or(now + TOKEN_LIFETIME.as_secs());
         room_token(key, Grant::Watch, &name, end)

@@ -19,19 +19,14 @@ const QUALITY: u8 = 90;
 
 /// The last frame with its geometry.
 pub struct FrameWithTiles {
-    /// The picture.
     pub photo: Photo,
-    /// The tiles.
     pub tiles: Arc<Tiles>,
     /// The container, written on first use.
     atlas: OnceCell<Bytes>,
 }
 
-/// All tiles of a frame.
 pub struct Tiles {
-    /// The frame's number.
     pub frame: u64,
-    /// The tiles.
     pub geometry: Geometry,
     /// The encoded message, made on first use.
     coded: OnceLock<Option<Bytes>>,
@@ -43,9 +38,6 @@ impl FrameWithTiles {
     }
 
     /// The frame as a container, which all callers share.
-    ///
-    /// # Errors
-    /// 500 if it cannot be written.
     pub async fn container(self: &Arc<Self>) -> Result<Bytes, Problem> {
         let wrong = |error: &dyn Display| Problem::internal("writing the container of a frame", error);
         let written = self.atlas.get_or_try_init(|| {

@@ -2,7 +2,6 @@
 
 use tokio::time::Instant;
 
-/// A token bucket.
 pub struct Bucket {
     rate: f64,
     most: f64,

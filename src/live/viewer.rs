@@ -37,7 +37,6 @@ const WORDS: f64 = 20.0;
 const WORDS_A_SECOND: f64 = 2.0;
 const NOTHING_ELSE: &str = "viewers may send only CREDIT";
 
-/// Why a viewer's connection ends.
 enum ConnectionEnd {
     /// It has gone, or cannot be written to.
     Gone,
@@ -119,7 +118,6 @@ fn bye(reason: &str, again: bool) -> ConnectionEnd {
     ConnectionEnd::Bye(Bye { reason: reason.into(), again, ..Bye::default() })
 }
 
-/// Handles a message of a viewer.
 fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Bucket, room: &Room, viewer: &mut Viewer) -> Result<(), ConnectionEnd> {
     match came {
         // the library answers pings

@@ -204,9 +204,6 @@ impl AppState {
     }
 
     /// Runs blocking `work` that reads an upload whole, when a permit is free.
-    ///
-    /// # Errors
-    /// 500 if `work` panicked.
     pub async fn change<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
         let turn = Arc::clone(&self.changes).acquire_owned().await.map_err(|e| Problem::internal("reading an upload", &e))?;
         let done = tokio::task::spawn_blocking(move || {
@@ -292,9 +289,6 @@ impl AppState {
     }
 
     /// The strokes of a photo. Damaged ones are logged and count as none, since the photo can be made without.
-    ///
-    /// # Errors
-    /// 503 if they cannot be read now.
     pub async fn strokes(&self, photo: &Photo) -> Result<Vec<Stroke>, Problem> {
         let Some(blob) = photo.blobs.get(&Part::Strokes) else { return Ok(Vec::new()) };
         match self.library.blobs().read(Part::Strokes, blob).await {
@@ -362,9 +356,6 @@ impl AppState {
     }
 
     /// The container of a photo. If it is damaged, the photo is marked as damaged.
-    ///
-    /// # Errors
-    /// As [`AppState::file`].
     pub async fn container_of(&self, photo: &Photo) -> Result<Bytes, Problem> {
         match self.library.blobs().read(Part::Container, photo.blob(Part::Container)?).await {
             Ok(bytes) => Ok(bytes),
@@ -378,9 +369,6 @@ impl AppState {
     }
 
     /// The decoded scene of a photo, and the time of decoding if it was not cached. Enter `slot` with [`FinishedPhoto::scene_bytes`].
-    ///
-    /// # Errors
-    /// As [`AppState::file`].
     pub async fn scene(&self, photo: &Photo, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
         let (version, _) = Self::finished(photo)?;
         let mut took = None;

@@ -146,9 +146,6 @@ impl BlockingPool {
 
 impl Slot {
     /// Runs blocking work. It keeps the slot until it ends, even if the client has gone, since it cannot be aborted.
-    ///
-    /// # Errors
-    /// 500 if `work` panicked.
     pub async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
         let slot = self.clone();
         let result = tokio::task::spawn_blocking(move || {

@@ -41,9 +41,6 @@ impl Source {
     }
 
     /// Its first `most` bytes, or all if it has fewer.
-    ///
-    /// # Errors
-    /// If it cannot be read.
     pub async fn head(&self, most: usize) -> io::Result<Bytes> {
         self.read(0..most.min(self.len())).await
     }

@@ -6,9 +6,6 @@ use axum::http::{HeaderMap, StatusCode, Uri, header};
 use super::problem::Problem;
 
 /// Refuses a request from a page of another site: browsers let a page open web sockets to any server, but send the page's origin.
-///
-/// # Errors
-/// 403.
 pub fn check_origin(headers: &HeaderMap) -> Result<(), Problem> {
     let foreign = || Problem::new(StatusCode::FORBIDDEN, "cross-site", "pages of other sites may not do this");
     if let Some(site) = headers.get("sec-fetch-site") {

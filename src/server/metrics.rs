@@ -181,9 +181,6 @@ impl Telemetry {
     }
 
     /// All metrics as text, with `figures` from elsewhere.
-    ///
-    /// # Errors
-    /// Does not happen in practice.
     pub fn text(&self, figures: &[Metric]) -> Result<String, std::fmt::Error> {
         let mut now = Registry::default();
         let since = self.since.duration_since(UNIX_EPOCH).unwrap_or_default();

@@ -106,9 +106,6 @@ pub fn canonical(text: &BTreeMap<String, String>) -> String {
 }
 
 /// Reads what [`to_text`] wrote.
-///
-/// # Errors
-/// [`Problem`] 400 that names the option.
 pub fn from_text(text: &BTreeMap<String, String>) -> Result<Options, Problem> {
     let mut options = Options::default();
     for (name, value) in text {

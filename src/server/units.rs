@@ -64,14 +64,10 @@ impl<const UNIT: u64> In<UNIT> {
         _ => "MiB",
     };
 
-    /// # Errors
-    /// Errors of the format.
     pub fn serialize<T: Quantity, S: Serializer>(quantity: &T, to: S) -> Result<S::Ok, S::Error> {
         (quantity.amount() / UNIT).serialize(to)
     }
 
-    /// # Errors
-    /// If it is not a whole number.
     pub fn deserialize<'de, T: Quantity, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
         Ok(T::of(u64::deserialize(from)?.saturating_mul(UNIT)))
     }

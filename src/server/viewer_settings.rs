@@ -131,9 +131,6 @@ impl Settings {
     }
 
     /// These settings with a merge patch: null removes a field, a missing one stays.
-    ///
-    /// # Errors
-    /// [`Problem`] 400 that names the field.
     pub fn patched(&self, patch: &[u8]) -> Result<Self, Problem> {
         let patch: Value = serde_json::from_slice(patch).map_err(|e| Problem::bad_request(format!("the body is not JSON: {e}")))?;
         let Value::Object(patch) = patch else { return Err(Problem::bad_request("the body must be a JSON object")) };

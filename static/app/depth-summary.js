@@ -17,8 +17,6 @@ const NETWORKS = [
   [/^midas-v2\.1/, 'MiDaS 2.1'],
   [/^dpt-large/, 'DPT Large'],
   [/^dpt-hybrid/, 'DPT Hybrid'],
-  [/^zoedepth/, 'ZoeDepth'],
-  [/^zipdepth/, 'ZipDepth'],
 ];
 
 /**

@@ -1,7 +1,4 @@
-//! Every route × every kind of caller × visibility of the photo, with `--access private`. With `TMPI_SHOW=matrix` and `--nocapture` the
-//! test prints the tables.
-
-use std::fmt::Write as _;
+//! Every route × every kind of caller × visibility of the photo, with `--access private`.
 
 use tmpi::server::{Access, Route, routes};
 
@@ -247,11 +244,9 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
             let body = format!("{{\"visibility\": {visibility:?}}}");
             assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{photo}"), &headers, body.as_bytes()).status, 200);
         }
-        let mut table = String::new();
         for route in &routes() {
             let own = route.methods.iter().flat_map(|m| if m == "GET" { vec!["GET", "HEAD"] } else { vec![m.as_str()] });
             for method in own.chain(MORE) {
-                let _ = write!(table, "| {method} {} |", route.path);
                 for caller in &callers {
                     let answer = caller.ask(&server, route, method, target(route, method, &caller.photo));
                     let (status, problem) = expected(route, method, caller, shown);
@@ -267,14 +262,8 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
                     let blind = !shown && !caller.may.see() && !caller.may.change();
                     assert!(!blind || !text.contains("\"links\":{\"self\"") || method == "POST", "{what}: {text}");
                     assert!(shown || !answer.all("cache-control").contains("public"), "{what}");
-                    let _ = write!(table, " {status} |");
                 }
-                table.push('\n');
             }
-        }
-        if std::env::var("TMPI_SHOW").is_ok_and(|what| what == "matrix") {
-            let names = callers.iter().map(|c| format!(" {} |", c.what)).collect::<Vec<_>>().concat();
-            println!("| {visibility} |{names}\n|-|{}\n{table}", "-|".repeat(callers.len()));
         }
     }
 }

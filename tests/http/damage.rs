@@ -116,7 +116,12 @@ fn a_folder_that_is_away_damages_no_photo() {
 fn a_body_that_is_cut_off_midway_is_an_error_for_its_client() {
     let made = made(Limits::default(), noise());
     let path = format!("/v1/photos/{}/atlas", made.id);
-    assert_eq!(get(made.server.addr, &path).body, made.whole);
+    let whole = get(made.server.addr, &path);
+    assert_eq!((&whole.body, whole.header("content-length")), (&made.whole, Some(made.whole.len().to_string().as_str())));
+    let last = made.whole.len() - 300_000;
+    let range = format!("bytes={last}-");
+    let part = request(made.server.addr, "GET", &path, &[("range", &range), ("if-range", whole.header("etag").unwrap())], &[]);
+    assert_eq!((part.status, part.body.as_slice()), (206, &made.whole[last..]));
     // the server keeps the file open
     let half = made.whole.len() / 2;
     std::fs::File::options().write(true).open(made.file("container")).unwrap().set_len(half as u64).unwrap();

@@ -124,29 +124,6 @@ fn a_file_is_written_once_for_all_its_parts() {
 }
 
 #[test]
-fn a_large_file_is_streamed_and_a_damaged_one_is_refused() {
-    let server = Running::open();
-    // too large to be kept in memory
-    let id = server.make(&noise());
-    let file = contents(server.data(), &id, "container").remove(0);
-    let bytes = std::fs::read(&file).unwrap();
-    assert!(bytes.len() > 256 << 10, "{}", bytes.len());
-    let path = format!("/v1/photos/{id}/atlas");
-    let whole = get(server.addr, &path);
-    assert_eq!(whole.body, bytes);
-    assert_eq!(whole.header("content-length"), Some(bytes.len().to_string().as_str()));
-    let last = bytes.len() - 300_000;
-    let part =
-        request(server.addr, "GET", &path, &[("range", &format!("bytes={last}-")), ("if-range", whole.header("etag").unwrap())], &[]);
-    assert_eq!((part.status, part.body.as_slice()), (206, &bytes[last..]));
-    let server = server.restarted();
-    assert_eq!(get(server.addr, &path).header("etag"), whole.header("etag"));
-    std::fs::write(&file, &bytes[..bytes.len() / 2]).unwrap();
-    let server = server.restarted();
-    get(server.addr, &path).problem(500);
-}
-
-#[test]
 fn an_address_has_no_more_connections_than_its_share() {
     let limits = Limits { connections_per_address: 2, ..Limits::default() };
     let server = Running::with(limits, Arc::new(pipeline()));

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use tmpi::live::{Config as RoomConfig, Rooms};
+use tmpi::live::{RoomLimits, Rooms};
 use tmpi::server::{Config, Limits, Maker, Server};
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_render::{Backend, PictureFormat, Renderer, View, encode};
@@ -34,7 +34,12 @@ fn count_panics() {
 
 /// Rooms for this machine's own user.
 pub fn rooms() -> Rooms {
-    Rooms::new(RoomConfig { models: models(ramp()), frame_ms: 0.0, key: None })
+    Rooms::new(models(ramp()), None).with_limits(unhurried())
+}
+
+/// Limits without a time budget.
+pub fn unhurried() -> RoomLimits {
+    RoomLimits { budget_ms: 0.0, ..RoomLimits::default() }
 }
 
 pub fn with_rooms(server: Server) -> Server {

@@ -2,7 +2,7 @@
 
 use std::net::TcpStream;
 
-use tmpi::live::{Config as RoomConfig, RoomLimits, Rooms};
+use tmpi::live::{RoomLimits, Rooms};
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit, Depth, Hello, Sound, Video};
 use tmpi_core::live::{TileState, VERSION, read, write};
@@ -10,6 +10,7 @@ use tmpi_core::{DisparityMap, container};
 use tokio_tungstenite::tungstenite::{self, Message, WebSocket};
 
 use crate::client;
+use crate::fixture::unhurried;
 use crate::prelude::*;
 
 pub const KEY: &[u8] = b"a key that is long enough for all";
@@ -20,7 +21,7 @@ pub fn server() -> Running {
 
 /// The same with changed rooms.
 pub fn server_with(change: impl FnOnce(Rooms) -> Rooms) -> Running {
-    let rooms = change(Rooms::new(RoomConfig { models: models(bright()), frame_ms: 0.0, key: Some(KEY.to_vec()) }));
+    let rooms = change(Rooms::new(models(bright()), Some(KEY.to_vec())).with_limits(unhurried()));
     let maker = Arc::new(Does(|_: &[u8], _: &dyn Sink| Err(Fault::Cancelled)));
     Running::owning(|data| Running::launch(usual(data), maker, drawn_by_cpu(), |server| server.with_rooms(rooms)))
 }
@@ -169,7 +170,7 @@ pub fn hello() -> Hello {
 
 #[test]
 fn rooms_keep_to_their_configured_limits() {
-    let bounds = RoomLimits { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100, ..RoomLimits::default() };
+    let bounds = RoomLimits { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100, ..unhurried() };
     let server = server_with(|rooms| rooms.with_limits(bounds));
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));

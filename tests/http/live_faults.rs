@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::AtomicU32;
 
 use tempfile::tempdir;
-use tmpi::live::{Config as RoomConfig, Rooms};
+use tmpi::live::Rooms;
 use tmpi_core::Photo;
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
@@ -14,6 +14,7 @@ use tmpi_core::live::{TileState, VERSION, write};
 use tmpi_pipeline::depth::Estimator;
 use tokio_tungstenite::tungstenite::{self, Message};
 
+use crate::fixture::unhurried;
 use crate::live::{Client, Publisher, frame, server_with};
 use crate::prelude::*;
 
@@ -24,7 +25,7 @@ fn rooms(panics: u32) -> Rooms {
         assert!(left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_err(), "as planned");
         bright.estimate(photo)
     };
-    Rooms::new(RoomConfig { models: models(("panics", depth)), frame_ms: 0.0, key: None })
+    Rooms::new(models(("panics", depth)), None).with_limits(unhurried())
 }
 
 #[test]
@@ -139,4 +140,5 @@ fn viewers_of_a_film_are_told_at_its_end_that_the_publisher_has_gone() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     // the room does not wait for this publisher to return
     assert_eq!(Client::watch(server.addr, "attic").farewell().cause(), Cause::Left);
+    assert!(get(server.addr, "/v1/live/attic").json()["ended"].is_null(), "it was not refused");
 }

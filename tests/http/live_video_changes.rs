@@ -3,44 +3,40 @@
 use std::process::Command;
 
 use tmpi_core::live::TileState;
-use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::Hello;
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::schema::{Bye, Hello};
 use tmpi_live::access_units::{Splitter, Unit, codec};
 use tmpi_testing::Need;
+use tmpi_testing::pictures::ivf_frames;
 
 use crate::client;
 use crate::live::{Client, Publisher, hello, server, server_with};
 use crate::prelude::*;
 
-/// Access units of test pictures that ffmpeg encodes as H.264 with these arguments; `None` without ffmpeg.
-fn film(size: &str, arguments: &[&str]) -> Option<Vec<Unit>> {
+/// Test pictures that ffmpeg encodes with these arguments; `None` without ffmpeg.
+fn encoded(size: &str, arguments: &[&str]) -> Option<Vec<u8>> {
     let mut command = Command::new("ffmpeg");
-    command.args(["-loglevel", "error", "-f", "lavfi", "-i", &format!("testsrc2=size={size}:rate=10:duration=1")]);
-    command.args(["-c:v", "libx264", "-preset", "ultrafast", "-bf", "0"]).args(arguments).args(["-f", "h264", "-"]);
-    let out = Need::Ffmpeg.or_skip(command.output())?;
+    command.args(["-loglevel", "error", "-f", "lavfi", "-i", &format!("testsrc2=size={size}:rate=10:duration=1")]).args(arguments);
+    let out = Need::Ffmpeg.or_skip(command.arg("-").output())?;
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    Some(out.stdout)
+}
+
+/// Access units of a film in H.264.
+fn film(size: &str, arguments: &[&str]) -> Option<Vec<Unit>> {
+    let coder = ["-c:v", "libx264", "-preset", "ultrafast", "-bf", "0"];
     let mut splitter = Splitter::default();
-    let mut units = splitter.push(&out.stdout).unwrap();
+    let mut units = splitter.push(&encoded(size, &[&coder[..], arguments, &["-f", "h264"]].concat())?).unwrap();
     units.extend(splitter.finish());
     Some(units)
 }
 
 /// The same in VP9.
 fn vp9_film(size: &str) -> Option<Vec<Unit>> {
-    let mut command = Command::new("ffmpeg");
-    command.args(["-loglevel", "error", "-f", "lavfi", "-i", &format!("testsrc2=size={size}:rate=10:duration=1"), "-pix_fmt", "yuv420p"]);
-    command.args(["-c:v", "libvpx-vp9", "-deadline", "realtime", "-cpu-used", "8", "-lag-in-frames", "0", "-auto-alt-ref", "0"]);
-    let out = Need::Ffmpeg.or_skip(command.args(["-g", "5", "-f", "ivf", "-"]).output())?;
-    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
-    let (mut units, mut rest) = (Vec::new(), &out.stdout[32..]);
-    while let Some((head, after)) = rest.split_first_chunk::<12>() {
-        let (frame, after) = after.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
-        // bit 2: set for frames that refer to others
-        units.push(Unit { data: frame.to_vec(), key: frame[0] & 4 == 0 });
-        rest = after;
-    }
-    Some(units)
+    let coder = "-pix_fmt yuv420p -c:v libvpx-vp9 -deadline realtime -cpu-used 8 -lag-in-frames 0 -auto-alt-ref 0 -g 5 -f ivf";
+    let file = encoded(size, &coder.split(' ').collect::<Vec<_>>())?;
+    // bit 2: set for frames that refer to others
+    Some(ivf_frames(&file).into_iter().map(|frame| Unit { data: frame.to_vec(), key: frame[0] & 4 == 0 }).collect())
 }
 
 /// A publisher of H.264 or VP9.
@@ -145,18 +141,4 @@ fn video_that_cannot_be_shown_ends_with_a_reason_for_publisher_and_viewers() {
         // the room's state keeps the reason for later viewers
         assert!(ended(server.addr, &room).is_some_and(|ended| ended.contains(&reason)));
     }
-}
-
-#[test]
-fn viewers_are_told_at_once_that_the_publisher_left() {
-    let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
-    let server = server();
-    let mut camera = camera(server.addr, "attic", &film[0], (320, 240));
-    play(&mut camera, &film);
-    let mut viewer = Client::watch(server.addr, "attic");
-    sees(&mut viewer, (320, 240));
-    camera.client.send(Kind::Bye(Bye { reason: "stopped".into(), ..Bye::default() }));
-    // `Left`: the room did not wait for the publisher to return
-    assert_eq!(viewer.farewell().cause(), Cause::Left);
-    assert_eq!(ended(server.addr, "attic"), None);
 }

@@ -1,6 +1,6 @@
 //! The Rust client against a running server.
 
-use tmpi_client::{Client, Error, Export, Fresh, Settings, State, Upload, View, Visibility};
+use tmpi_client::{Client, Error, Settings, State, Upload, Visibility};
 use tmpi_testing::{Answer, StandIn};
 
 use crate::prelude::*;
@@ -23,7 +23,7 @@ fn a_photo_is_uploaded_and_everything_fetched() {
     let server = Running::open();
     let client = client(&server);
     block_on(async {
-        let upload = Upload::of(jpeg(1)).depth(depth_map()).title("a \"sea\" & more").option("quality", "80");
+        let upload = Upload::of(jpeg(1)).depth(depth_map()).option("title", "a \"sea\" & more").option("quality", "80");
         let accepted = client.upload(upload.clone()).await.unwrap();
         let photo = client.finished(&accepted.id, |_| ()).await.unwrap();
         assert_eq!((photo.state, photo.settings.title.as_deref()), (State::Done, Some("a \"sea\" & more")));
@@ -34,24 +34,22 @@ fn a_photo_is_uploaded_and_everything_fetched() {
         assert_eq!(container, get(server.addr, &format!("/v1/photos/{}/atlas", photo.id)).body);
         let scene = client.scene(&photo.id).await.unwrap();
         assert_eq!((Some(scene.photo.width), Some(scene.photo.height)), (photo.width, photo.height));
-        let Fresh::New(bytes, Some(tag)) = client.container_unless(&photo.id, "\"another\"").await.unwrap() else { panic!("it is new") };
-        assert_eq!(bytes, container);
-        assert_eq!(client.container_unless(&photo.id, &tag).await.unwrap(), Fresh::Same);
-        assert!(client.level(&photo.id, 1).await.unwrap().len() < container.len());
-        let view = client.view(&photo.id, &View::new(40, 30).at(0.01, 0.0, 0.0).format("png")).await.unwrap();
+        assert!(client.part(&photo.id, "/atlas?level=1").await.unwrap().len() < container.len());
+        let view = client.view(&photo.id, &[("w", "40"), ("tx", "0.01"), ("format", "png")]).await.unwrap();
         assert!(view.starts_with(b"\x89PNG"));
-        assert!(client.depth(&photo.id).await.unwrap().starts_with(b"\x89PNG"));
-        assert!(client.thumbnail(&photo.id).await.unwrap().starts_with(&[0xff, 0xd8]));
-        assert!(client.export(&photo.id, "glb").await.unwrap().starts_with(b"glTF"));
-        let metric = Export::new("glb").with("shape", &"metric");
-        assert_ne!(client.export(&photo.id, metric).await.unwrap(), client.export(&photo.id, "glb").await.unwrap());
-        let wrong = client.export(&photo.id, Export::new("glb").along("orbit", 2)).await.unwrap_err();
+        assert!(client.part(&photo.id, "/depth").await.unwrap().starts_with(b"\x89PNG"));
+        let glb = client.export(&photo.id, &[("format", "glb")]).await.unwrap();
+        assert!(glb.starts_with(b"glTF") && glb != client.export(&photo.id, &[("format", "glb"), ("shape", "metric")]).await.unwrap());
+        let wrong = client.export(&photo.id, &[("format", "glb"), ("path", "orbit"), ("frames", "2")]).await.unwrap_err();
         assert!(matches!(&wrong, Error::Problem(p) if p.field.as_deref() == Some("format")), "{wrong:?}");
-        assert_eq!(client.report(&photo.id).await.unwrap()["width"], 80);
-        let named = client.change(&photo.id, &Settings { title: Some("Sea".into()), ..Settings::default() }).await.unwrap();
+        let sky = json!({ "strokes": [{ "points": [[0.2, 0.1]], "radius": 0.1, "to": 0.0 }] });
+        client.change(&photo.id, "/strokes", &sky).await.unwrap();
+        let touched = client.finished(&photo.id, |_| ()).await.unwrap();
+        assert!(touched.version != photo.version && touched.more["atlas_bytes"].is_u64(), "{touched:?}");
+        let named = client.change(&photo.id, "", &Settings { title: Some("Sea".into()), ..Settings::default() }).await.unwrap();
         assert_eq!(named.settings.title.as_deref(), Some("Sea"));
         assert_eq!(client.photos().await.unwrap().iter().map(|p| p.id.as_str()).collect::<Vec<_>>(), [photo.id.as_str()]);
-        let html = client.embedding(&photo).unwrap();
+        let html = client.embedding(&photo, None).unwrap();
         assert!(html.contains(&format!("http://{}/embed/{}", server.addr, photo.id)) && html.contains("aspect-ratio:80/60"), "{html}");
         client.delete(&photo.id).await.unwrap();
         assert_eq!(client.photo(&photo.id).await.unwrap_err().status(), Some(404));
@@ -71,7 +69,7 @@ fn errors_have_their_kind_and_field() {
             assert_eq!(kind(&client.photo(id).await.unwrap_err()), "not-found", "{id}");
         }
         let photo = client.upload(Upload::of(jpeg(1)).wait(Duration::from_secs(20))).await.unwrap();
-        let wrong = client.view(&photo.id, &View::new(0, 30)).await.unwrap_err();
+        let wrong = client.view(&photo.id, &[("w", "0")]).await.unwrap_err();
         assert_eq!(wrong.status(), Some(400));
         let unreachable = Client::new("http://127.0.0.1:1").unwrap().patience(Duration::ZERO);
         assert!(matches!(unreachable.photo(&photo.id).await, Err(Error::Network(_))));
@@ -112,17 +110,18 @@ fn photos_belong_to_their_owner_and_a_link_shows_one() {
         assert_eq!((owner.photos().await.unwrap().len(), other.photos().await.unwrap().len()), (1, 0));
         let link = owner.link(&photo.id, Some(60)).await.unwrap();
         assert_eq!(get(server.addr, &link.atlas).status, 200);
-        let html = owner.embedding_by(&photo, &link).unwrap();
+        let html = owner.embedding(&photo, Some(&link)).unwrap();
         assert!(html.contains(&link.query.as_ref().unwrap().replace('&', "&amp;")), "{html}");
-        let friend = client(&server).with_manage_link(link.manage.as_ref().unwrap()).unwrap();
+        let token = link.manage.as_ref().unwrap().split_once("#manage=").unwrap().1;
+        let friend = client(&server).with_key(token).unwrap();
         assert_eq!(friend.photo(&photo.id).await.unwrap().id, photo.id);
         let titled = Settings { title: Some("A friend's".into()), ..Settings::default() };
-        assert_eq!(friend.change(&photo.id, &titled).await.unwrap().settings.title, titled.title);
+        assert_eq!(friend.change(&photo.id, "", &titled).await.unwrap().settings.title, titled.title);
         assert_eq!(friend.photos().await.unwrap_err().status(), Some(403));
         owner.take_links_back(&photo.id).await.unwrap();
         assert_eq!(friend.photo(&photo.id).await.unwrap_err().status(), Some(404));
         let shown = Settings { visibility: Some(Visibility::Link), ..Settings::default() };
-        assert_eq!(owner.change(&photo.id, &shown).await.unwrap().visibility, Some(Visibility::Link));
+        assert_eq!(owner.change(&photo.id, "", &shown).await.unwrap().visibility, Some(Visibility::Link));
         assert!(other.container(&photo.id).await.is_ok());
         assert_eq!(other.delete(&photo.id).await.unwrap_err().status(), Some(404));
         let unknown = client(&server).with_key("tmpi_k_nobody").unwrap();

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Runs the whole server in a cgroup with a memory limit (root only). With 256 MB it serves 2 MP photos and rejects 50 MP with the required memory; with
-1 GB it makes 50 MP. Resident memory then returns to about its idle value, and stays flat over many jobs, views and abandoned requests."""
+"""Runs the whole server in a cgroup with a memory limit (root only). With 256 MB it makes 2 MP photos, reduced, and rejects 50 MP with the required
+memory; with 1 GB it makes 50 MP. Resident memory then returns to about its idle value, and stays flat over many jobs, views and abandoned requests."""
 import argparse, os, socket, time
 from pathlib import Path
 from common import Server, Table, check, children, depth_map, finish, skip, small, smooth, status_kib

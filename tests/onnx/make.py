@@ -80,7 +80,7 @@ write(
     [numpy_helper.from_array(np.array([v], np.float32), name) for name, v in (("gain", 2), ("offset", 3))],
     beside="views.onnx_data",
 )
-# The interface of ZipDepth, and its first convolution's name
+# A network of fixed size that normalises its input
 write(
     "stem",
     [

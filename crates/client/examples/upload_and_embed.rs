@@ -18,12 +18,12 @@ async fn embedded(server: &str, photo: Vec<u8>, key: Option<&str>) -> Result<Str
     let made = client.finished(&accepted.id, |stage| eprintln!("{}/{} {}", stage.step, stage.steps, stage.stage)).await?;
     // visibility is set only on servers with authentication
     if made.visibility.is_some() {
-        client.change(&made.id, &Settings { visibility: Some(Visibility::Link), ..Settings::default() }).await?;
+        client.change(&made.id, "", &Settings { visibility: Some(Visibility::Link), ..Settings::default() }).await?;
     }
     if let Some(secret) = client.secret().filter(|_| made.visibility.is_some()) {
         eprintln!("keep this secret to change the photo later: {secret}");
     }
-    client.embedding(&made)
+    client.embedding(&made, None)
 }
 
 fn main() -> ExitCode {

@@ -1,14 +1,14 @@
 //! Client of tmpi's REST API: upload a photo, download the tiled multiplane image and views of it.
 //!
 //! ```no_run
-//! use tmpi_client::{Client, Upload, View};
+//! use tmpi_client::{Client, Upload};
 //!
 //! # async fn example() -> Result<(), tmpi_client::Error> {
 //! let client = Client::new("https://photos.example.org")?.with_key("tmpi_k_…")?;
-//! let photo = client.upload(Upload::of(std::fs::read("beach.jpg").expect("a photo")).title("Beach")).await?;
+//! let photo = client.upload(Upload::of(std::fs::read("beach.jpg").expect("a photo")).option("title", "Beach")).await?;
 //! let photo = client.finished(&photo.id, |stage| println!("{} of {}: {}", stage.step, stage.steps, stage.stage)).await?;
 //! let scene = client.scene(&photo.id).await?;
-//! let view = client.view(&photo.id, &View::new(1280, 720).at(0.02, 0.0, 0.0)).await?;
+//! let view = client.view(&photo.id, &[("w", "1280"), ("tx", "0.02")]).await?;
 //! println!("{} × {}, {} layers, a view of {} bytes", scene.photo.width, scene.photo.height, scene.layers.len(), view.len());
 //! # Ok(())
 //! # }
@@ -30,11 +30,9 @@
 
 mod error;
 mod events;
-mod form;
 mod photos;
 mod request;
 mod results;
-mod strokes;
 mod types;
 
 use std::sync::Arc;
@@ -45,14 +43,10 @@ use reqwest::header::{AUTHORIZATION, HeaderMap, HeaderValue};
 
 pub use error::{Error, Problem};
 pub use photos::Upload;
-pub use results::{Export, Fresh, View};
-pub use strokes::{Stroke, Strokes, Touch};
 pub use types::{Link, Links, Offset, PhotoState, Progress, Settings, State, Visibility};
 
 /// Prefix of an owner's secret.
 const OWNER: &str = "tmpi_o_";
-/// Prefix of the token in a photo's manage link.
-const MANAGE: &str = "tmpi_m_";
 /// Longest time without a byte from the server.
 const SILENCE: Duration = Duration::from_mins(1);
 /// Time to connect.
@@ -107,7 +101,8 @@ impl Client {
         Ok(Self { base: Arc::new(url), http, headers: HeaderMap::new(), secret: None, patience: PATIENCE })
     }
 
-    /// Authenticates with an API key (`tmpi key add`), or with an owner's secret (`tmpi_o_…`).
+    /// Authenticates with an API key (`tmpi key add`), an owner's secret (`tmpi_o_…`), or the token behind `#manage=` of a manage link
+    /// (`tmpi_m_…`), which allows changes to one photo only: [`Link::manage`], or [`Links::manage`] of an upload.
     ///
     /// # Errors
     /// [`Error::Key`] if it is not a valid header value.
@@ -117,15 +112,6 @@ impl Client {
         self.headers.insert(AUTHORIZATION, value);
         self.secret = key.starts_with(OWNER).then(|| key.to_owned());
         Ok(self)
-    }
-
-    /// Authenticates with a manage link, which allows changes to one photo only: [`Link::manage`], or [`Links::manage`] of an upload.
-    ///
-    /// # Errors
-    /// [`Error::Key`] if it is not a manage link.
-    pub fn with_manage_link(self, link: &str) -> Result<Self, Error> {
-        let token = link.split_once("#manage=").map(|(_, token)| token).filter(|token| token.starts_with(MANAGE));
-        self.with_key(token.ok_or(Error::Key)?)
     }
 
     /// Authenticates as a new owner. Anyone who has [`Client::secret`] owns the uploads.
@@ -160,29 +146,20 @@ impl Client {
         if url.origin() == self.base.origin() { Ok(url) } else { Err(wrong("it belongs to another server".into())) }
     }
 
-    /// HTML that embeds a photo in a page of another site. The photo's visibility must be [`Visibility::Link`].
+    /// HTML that embeds a photo in a page of another site: one whose visibility is [`Visibility::Link`], or any other through a link, until
+    /// the link expires.
     ///
     /// # Errors
     /// [`Error::Address`].
-    pub fn embedding(&self, photo: &PhotoState) -> Result<String, Error> {
-        self.address(&photo.links.embed).map(|address| frame(photo, &address))
-    }
-
-    /// HTML that embeds a private photo through a link, until the link expires.
-    ///
-    /// # Errors
-    /// [`Error::Address`].
-    pub fn embedding_by(&self, photo: &PhotoState, link: &Link) -> Result<String, Error> {
+    pub fn embedding(&self, photo: &PhotoState, link: Option<&Link>) -> Result<String, Error> {
         let mut address = self.address(&photo.links.embed)?;
-        address.set_query(link.query.as_deref());
-        Ok(frame(photo, &address))
+        if let Some(link) = link {
+            address.set_query(link.query.as_deref());
+        }
+        let (width, height) = (photo.width.unwrap_or(4), photo.height.unwrap_or(3));
+        let (style, address) = (format!("width:100%;aspect-ratio:{width}/{height};border:0"), address.as_str().replace('&', "&amp;"));
+        Ok(format!("<iframe src=\"{address}\" style=\"{style}\" loading=\"lazy\" allow=\"accelerometer; gyroscope; fullscreen\"></iframe>"))
     }
-}
-
-fn frame(photo: &PhotoState, address: &Url) -> String {
-    let (width, height) = (photo.width.unwrap_or(4), photo.height.unwrap_or(3));
-    let (style, address) = (format!("width:100%;aspect-ratio:{width}/{height};border:0"), address.as_str().replace('&', "&amp;"));
-    format!("<iframe src=\"{address}\" style=\"{style}\" loading=\"lazy\" allow=\"accelerometer; gyroscope; fullscreen\"></iframe>")
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -213,10 +190,6 @@ mod tests {
         assert_ne!(one.secret(), other.secret());
         assert_eq!(one.secret().map(str::len), Some(OWNER.len() + 64));
         assert_eq!(client().with_key("tmpi_k_1").unwrap().secret(), None);
-        assert!(client().with_manage_link("/view/0#manage=tmpi_m_0f").unwrap().secret().is_none());
-        for wrong in ["/view/0", "/view/0#manage=tmpi_o_0f", "tmpi_m_0f"] {
-            assert!(client().with_manage_link(wrong).is_err(), "{wrong}");
-        }
         assert!(!format!("{one:?} {:?}", one.headers).contains(one.secret().unwrap()));
     }
 }

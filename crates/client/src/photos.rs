@@ -2,14 +2,13 @@
 
 use std::time::Duration;
 
-use bytes::Bytes;
+use bytes::{BufMut as _, Bytes, BytesMut};
 use reqwest::header::{CONTENT_TYPE, HeaderName};
 use reqwest::{Method, Url};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
-use crate::form::form;
 use crate::request::Call;
-use crate::{Client, Error, Link, PhotoState, Settings, State, Visibility};
+use crate::{Client, Error, Link, PhotoState, State, hex};
 
 const PREFER: HeaderName = HeaderName::from_static("prefer");
 
@@ -34,17 +33,7 @@ impl Upload {
         self
     }
 
-    /// Sets the photo's title, 1 to 200 characters.
-    pub fn title(self, title: &str) -> Self {
-        self.option("title", title)
-    }
-
-    /// Sets who may see the photo, on a server with authentication.
-    pub fn visibility(self, who: Visibility) -> Self {
-        self.option("visibility", if who == Visibility::Link { "link" } else { "private" })
-    }
-
-    /// Sets an upload option by name, for example `max_size` or `planes`. The server's `OpenAPI` document lists all of them.
+    /// Sets an upload option by name, for example `title`, `visibility` or `planes`. The server's `OpenAPI` document lists all of them.
     pub fn option(mut self, name: &str, value: &str) -> Self {
         self.options.push((name.to_owned(), value.to_owned()));
         self
@@ -113,15 +102,18 @@ impl Client {
         Ok(all)
     }
 
-    /// Changes the owner's settings for viewers. Fields that `change` leaves out keep their value.
+    /// Changes a photo by a merge patch (RFC 7396) of what is at `path` below it: `""` are its [`Settings`](crate::Settings), `/strokes` the
+    /// strokes that correct its depth. Fields that `change` leaves out keep their value. After a change of its strokes the server processes
+    /// the photo again under the same id; wait for it with [`Client::finished`].
     ///
     /// # Errors
-    /// [`Error`]; [`Error::Problem`] names the setting.
-    pub async fn change(&self, id: &str, change: &Settings) -> Result<PhotoState, Error> {
+    /// [`Error`]; [`Error::Problem`] names the field.
+    pub async fn change(&self, id: &str, path: &str, change: &impl Serialize) -> Result<PhotoState, Error> {
         let body = serde_json::to_vec(change).map_err(|e| Error::Answer(e.to_string()))?;
-        self.request(Call::new(Method::PATCH, photo_path(id, "")).header(CONTENT_TYPE, "application/merge-patch+json")?.body(body))
-            .await?
-            .json()
+        let mut call = Call::new(Method::PATCH, photo_path(id, path)).header(CONTENT_TYPE, "application/merge-patch+json")?.body(body);
+        // strokes start processing, during which the server refuses others
+        call.idempotent = path.is_empty();
+        self.request(call).await?.json()
     }
 
     /// Deletes a photo and everything made from it.
@@ -174,12 +166,28 @@ pub(crate) fn photo_path(id: &str, rest: &str) -> String {
 }
 
 /// Appends a query to a path.
-pub(crate) fn query(path: &str, pairs: &[(String, String)]) -> Result<String, Error> {
+pub(crate) fn query<K: AsRef<str>, V: AsRef<str>>(path: &str, pairs: &[(K, V)]) -> Result<String, Error> {
     if pairs.is_empty() {
         return Ok(path.to_owned());
     }
     let url = Url::parse_with_params("http://localhost", pairs).map_err(|e| Error::Answer(e.to_string()))?;
     Ok(format!("{path}?{}", url.query().unwrap_or_default()))
+}
+
+/// Encodes a multipart form (RFC 7578); returns its media type and body.
+fn form(parts: &[(&str, &[u8])]) -> Result<(String, Bytes), Error> {
+    let mut random = [0; 16];
+    getrandom::fill(&mut random).map_err(|_| Error::Key)?;
+    // 128 random bits do not occur in any part
+    let boundary = hex(&random);
+    let mut body = BytesMut::with_capacity(parts.iter().map(|(name, bytes)| name.len() + bytes.len() + 128).sum::<usize>() + 64);
+    for (name, bytes) in parts {
+        body.put_slice(format!("--{boundary}\r\ncontent-disposition: form-data; name=\"{name}\"\r\n\r\n").as_bytes());
+        body.put_slice(bytes);
+        body.put_slice(b"\r\n");
+    }
+    body.put_slice(format!("--{boundary}--\r\n").as_bytes());
+    Ok((format!("multipart/form-data; boundary={boundary}"), body.freeze()))
 }
 
 #[cfg(test)]
@@ -190,7 +198,6 @@ mod tests {
     fn paths_and_queries_are_percent_encoded() {
         assert_eq!(photo_path("0a", "/atlas"), "/v1/photos/0a/atlas");
         assert_eq!(photo_path("../x?y#z", ""), "/v1/photos/%2E%2E%2Fx%3Fy%23z");
-        let pairs = [("title".to_owned(), "a&b=c d".to_owned())];
-        assert_eq!(query("/v1/photos", &pairs).unwrap(), "/v1/photos?title=a%26b%3Dc+d");
+        assert_eq!(query("/v1/photos", &[("title", "a&b=c d")]).unwrap(), "/v1/photos?title=a%26b%3Dc+d");
     }
 }

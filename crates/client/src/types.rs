@@ -1,4 +1,4 @@
-//! Types of the server's answers. Unknown fields are ignored.
+//! Types of the server's answers.
 
 use std::collections::BTreeMap;
 
@@ -59,7 +59,7 @@ pub struct Links {
     pub page: String,
     /// Page with only the photo, to embed in other sites.
     pub embed: String,
-    /// Page to view and change the photo, for [`crate::Client::with_manage_link`]. It is a secret, and present only in the answer to an
+    /// Page to view and change the photo, for [`crate::Client::with_key`]. It is a secret, and present only in the answer to an
     /// upload without a key to a server with authentication.
     pub manage: Option<String>,
 }
@@ -124,30 +124,14 @@ pub struct PhotoState {
     pub state: State,
     /// When the server accepted it (RFC 3339, UTC).
     pub created: String,
-    /// When processing finished or failed.
-    pub finished: Option<String>,
-    /// When retention deletes it.
-    pub expires: Option<String>,
-    /// Number of photos ahead of this one in the queue; only while it waits.
-    pub position: Option<usize>,
-    /// Server fault that blocks processing; only while it waits.
-    pub waits_for: Option<String>,
-    /// Current stage; only while it is being processed.
-    pub progress: Option<Progress>,
     /// Why processing failed, or what is damaged.
     pub problem: Option<Problem>,
-    /// Size of the uploaded photo in bytes.
-    pub photo_bytes: u64,
-    /// Size of the container in bytes; once done.
-    pub atlas_bytes: Option<u64>,
     /// Width of the scene in pixels; once done.
     pub width: Option<u32>,
     /// Height of the scene in pixels; once done.
     pub height: Option<u32>,
     /// Version of the result; once done.
     pub version: Option<String>,
-    /// A better depth network that is available. Only in the state of a single photo, and only if the caller may reprocess it.
-    pub better_depth: Option<String>,
     /// Who may see it; only on a server with authentication.
     pub visibility: Option<Visibility>,
     /// The owner's settings for viewers.
@@ -158,6 +142,9 @@ pub struct PhotoState {
     pub options: BTreeMap<String, String>,
     /// Paths of its resources.
     pub links: Links,
+    /// Whatever else the server says, for example `position` in the queue, `progress`, `expires` and `atlas_bytes`.
+    #[serde(flatten)]
+    pub more: serde_json::Map<String, serde_json::Value>,
 }
 
 /// A link that gives others access to a photo.
@@ -172,7 +159,7 @@ pub struct Link {
     pub query: Option<String>,
     /// When it expires, in seconds since 1970.
     pub expires: Option<u64>,
-    /// Page where others can view and change only this photo, for [`crate::Client::with_manage_link`]. It is a secret, valid until
+    /// Page where others can view and change only this photo, for [`crate::Client::with_key`]. It is a secret, valid until
     /// [`crate::Client::take_links_back`].
     pub manage: Option<String>,
     /// Page that signs another browser in as the same owner; `None` if the caller has no secret of its own.

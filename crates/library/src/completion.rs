@@ -80,9 +80,6 @@ impl Library {
     }
 
     /// Fails a job for good because of its photo or its parameters.
-    ///
-    /// # Errors
-    /// [`LibraryError::LeaseLost`].
     pub async fn fail(&self, lease: &Lease, problem: &Problem) -> Result<()> {
         let mut tx = self.database().write().await?;
         self.fail_in(&mut tx, &lease.job, lease.token(), problem).await?;
@@ -110,9 +107,6 @@ impl Library {
     }
 
     /// Requeues a job.
-    ///
-    /// # Errors
-    /// [`LibraryError::LeaseLost`].
     pub async fn retry(&self, lease: &Lease, why: &Retry) -> Result<()> {
         let mut tx = self.database().write().await?;
         self.put_back(&mut tx, &lease.job, lease.token(), why).await?;

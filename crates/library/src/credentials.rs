@@ -163,9 +163,6 @@ impl Library {
     }
 
     /// Removes all keys of a name, or the one with an id; returns the number of keys.
-    ///
-    /// # Errors
-    /// [`LibraryError::NotFound`].
     pub async fn remove_keys(&self, name: &str, id: Option<&str>) -> Result<u64> {
         let mut tx = self.database().write().await?;
         let delete = sqlx::query("DELETE FROM keys WHERE name = $1 AND ($2 = '' OR SUBSTR(hash, 1, 8) = $2)");

@@ -4,8 +4,8 @@
 //! blob store. A blob is written before the row that refers to it and deleted after it, so a crash leaves at most orphans, which
 //! [`Library::gc`] removes after a day. Long-running work is a [`Job`] with a [`Lease`] by the database's clock.
 //!
-//! While the database or the blob store cannot be reached, each call fails with [`LibraryError::Unavailable`]; only its other errors are named
-//! with it. This crate knows nothing of HTTP or pixels.
+//! While the database or the blob store cannot be reached, each call fails with [`LibraryError::Unavailable`], and for what is not there with
+//! [`LibraryError::NotFound`]; only its other errors are named with it. This crate knows nothing of HTTP or pixels.
 #![allow(clippy::missing_errors_doc, reason = "what each call can fail with is said once, above")]
 
 mod accept;

@@ -171,9 +171,6 @@ pub(crate) const COLUMNS: &str = "id, owner, accepted_at, listed_at, viewed_at, 
 
 impl Photo {
     /// The blob of a part.
-    ///
-    /// # Errors
-    /// [`LibraryError::NotFound`].
     pub fn blob(&self, part: Part) -> Result<&Blob> {
         self.blobs.get(&part).ok_or(LibraryError::NotFound(part.name()))
     }

@@ -72,9 +72,6 @@ impl Library {
     }
 
     /// A photo.
-    ///
-    /// # Errors
-    /// [`LibraryError::NotFound`].
     pub async fn get(&self, id: PhotoId) -> Result<Photo> {
         self.find(id).await?.ok_or(LibraryError::NotFound("photo"))
     }
@@ -97,9 +94,6 @@ impl Library {
     }
 
     /// Replaces a photo's settings for viewers, a JSON object, if the photo has not changed since the caller read it as `seen`.
-    ///
-    /// # Errors
-    /// [`LibraryError::Changed`], [`LibraryError::NotFound`].
     pub async fn set_settings(&self, seen: &Photo, settings: &Value) -> Result<Photo> {
         let mut tx = self.database().write().await?;
         let before = locked_photo(&mut tx, seen.id).await?;
@@ -114,9 +108,6 @@ impl Library {
     }
 
     /// Revokes all links to a photo.
-    ///
-    /// # Errors
-    /// [`LibraryError::NotFound`].
     pub async fn revoke_links(&self, id: PhotoId) -> Result<()> {
         let mut tx = self.database().write().await?;
         let update = sqlx::query("UPDATE photos SET link_generation = link_generation + 1 WHERE id = $1").bind(id.to_string());

@@ -226,9 +226,6 @@ impl Library {
     }
 
     /// A job of a photo; `key` names an export.
-    ///
-    /// # Errors
-    /// [`LibraryError::NotFound`].
     pub async fn job(&self, kind: JobKind, photo: PhotoId, key: Option<&str>) -> Result<Job> {
         let select = format!("SELECT {COLUMNS} FROM jobs WHERE id = $1");
         let select = sqlx::query_as(AssertSqlSafe(select)).bind(id_of(kind, photo, key));

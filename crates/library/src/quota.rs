@@ -11,9 +11,6 @@ const USED: &str = "SELECT COUNT(*), CAST(COALESCE(SUM(bytes), 0) AS BIGINT) FRO
 
 impl Library {
     /// Checks, before the bytes arrive, whether an owner may have one more photo of this size. [`Library::accept`] checks again.
-    ///
-    /// # Errors
-    /// [`LibraryError::QuotaExceeded`].
     pub async fn check_quota(&self, owner: &Owner, bytes: u64) -> Result<()> {
         self.check_quota_on(self.database().reader(), owner, bytes).await
     }

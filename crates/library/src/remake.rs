@@ -32,9 +32,6 @@ impl Library {
     }
 
     /// Replaces a photo's touch-up, JSON for the pipeline, and queues it to be made again.
-    ///
-    /// # Errors
-    /// As [`Library::remake`].
     pub async fn touch_up(&self, seen: &Photo, strokes: Content, requester: &Requester) -> Result<Photo> {
         let remake = Remake { class: Class::Interactive, requester, from: None };
         self.remake_with(seen, Contents::from([(Part::Strokes, strokes)]), remake).await

@@ -46,9 +46,6 @@ impl Library {
     }
 
     /// Releases a room at once.
-    ///
-    /// # Errors
-    /// As [`Library::renew_room`].
     pub async fn release_room(&self, room: &str, origin: &Origin) -> Result<()> {
         let mut tx = self.database().write().await?;
         set(&mut tx, room, origin, 0).await?;

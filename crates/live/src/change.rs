@@ -14,17 +14,12 @@ const CUT: f64 = 0.35;
 const CUT_BLOCKS: f64 = 0.8;
 
 /// How much a block may differ from the frame that its geometry comes from and still count as unchanged.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tolerance {
-    /// Largest difference of a channel, in levels; 0: exact match.
-    pub most: u8,
+#[derive(Clone, Copy, Debug)]
+struct Tolerance {
+    /// Largest difference of a channel, in levels.
+    most: u8,
     /// Mean difference over a block, in levels.
-    pub mean: f32,
-}
-
-impl Tolerance {
-    /// Exact match.
-    pub const NONE: Self = Self { most: 0, mean: 0.0 };
+    mean: f32,
 }
 
 /// Tolerates noise with a standard deviation of 2 levels, raw or re-encoded, with some margin. Encoders that repeat still areas exactly
@@ -36,7 +31,7 @@ impl Default for Tolerance {
 }
 
 /// Stage that compares each frame with a reference frame.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Compare {
     tolerance: Tolerance,
     /// Each block's pixels when it last changed, so that slow changes accumulate and are detected.
@@ -70,11 +65,6 @@ impl Change {
 }
 
 impl Compare {
-    /// Starts without a reference frame.
-    pub const fn new(tolerance: Tolerance) -> Self {
-        Self { tolerance, reference: None, histogram: [0; BINS] }
-    }
-
     /// Each block's pixels when it last changed; `None` before the first frame.
     pub const fn reference(&self) -> Option<&Photo> {
         self.reference.as_ref()
@@ -162,6 +152,10 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn tolerating(most: u8, mean: f32) -> Compare {
+        Compare { tolerance: Tolerance { most, mean }, ..Compare::default() }
+    }
+
     fn is_nothing(change: &Change) -> bool {
         change.blocks.iter().all(|b| *b == 0)
     }
@@ -178,7 +172,7 @@ mod tests {
         #[test]
         fn a_change_marks_exactly_its_tiles(w in 1u32..150, h in 1u32..150, at in any::<u32>(), by in 1u8..) {
             let first = photo(w, h, 1);
-            let mut compare = Compare::new(Tolerance::NONE);
+            let mut compare = tolerating(0, 0.0);
             prop_assert!(compare.next(&first).cut);
             prop_assert!(is_nothing(&compare.next(&first)));
             let mut second = first.clone();
@@ -199,7 +193,7 @@ mod tests {
 
     #[test]
     fn slow_changes_accumulate_beyond_the_tolerance() {
-        let mut compare = Compare::new(Tolerance { most: 8, mean: 0.5 });
+        let mut compare = tolerating(8, 0.5);
         let mut now = photo(64, 64, 1);
         now.rgb.iter_mut().for_each(|p| p[0] = 0);
         compare.next(&now);
@@ -231,7 +225,7 @@ mod tests {
             let rgb = p.rgb.iter().map(|c| c.map(|v| (f64::from(v) + noise()).round().clamp(0.0, 255.0) as u8)).collect();
             Photo { rgb, ..p.clone() }
         };
-        let mut compare = Compare::new(Tolerance::default());
+        let mut compare = Compare::default();
         compare.next(&noisy(&clean));
         for frame in 0..100 {
             assert!(is_nothing(&compare.next(&noisy(&clean))), "frame {frame}");
@@ -245,7 +239,7 @@ mod tests {
 
     #[test]
     fn another_picture_is_a_cut_but_noise_is_not() {
-        let mut compare = Compare::new(Tolerance::NONE);
+        let mut compare = tolerating(0, 0.0);
         let dark = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| [20 + (i % 40) as u8; 3]).collect() };
         compare.next(&dark);
         let noisy = Photo { rgb: dark.rgb.iter().map(|p| p.map(|v| v + 1)).collect(), ..dark.clone() };
@@ -257,7 +251,7 @@ mod tests {
 
     #[test]
     fn every_block_changes_at_a_cut() {
-        let mut compare = Compare::new(Tolerance::NONE);
+        let mut compare = tolerating(0, 0.0);
         // a letterboxed film: the black bar stays when the scene changes
         let barred = |v: u8| Photo { width: 64, height: 64, rgb: (0..4096).map(|i| if i < 512 { [0; 3] } else { [v; 3] }).collect() };
         compare.next(&barred(40));

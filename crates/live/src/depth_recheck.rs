@@ -5,32 +5,24 @@
 
 use crate::change::Change;
 
-/// Default settings. `tmpi-lab live-bench --only still --recheck-frames N --recheck-blocks M` compares others: with 6 frames, views lose
-/// 0.04 dB and 1 % more of the unchanged tiles are sent; with 24 frames, geometry has 6 % fewer bytes but outlines remain twice as long;
-/// fewer blocks save 9 % and lose 0.02 dB; without rechecks, outlines stay.
-pub const RECHECK: RecheckSettings = RecheckSettings { frames: 12, blocks: 2 };
-
-/// When to recheck blocks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RecheckSettings {
-    /// Frames between the last change near a block and its recheck; 0: never.
-    pub frames: u8,
-    /// Radius around a changed block, in blocks, that counts as near.
-    pub blocks: u8,
-}
+/// Frames between the last change near a block and its recheck. With 6 frames, views lose 0.04 dB and 1 % more of the unchanged tiles are
+/// sent (`tmpi-lab live-bench --only still`); with 24, geometry has 6 % fewer bytes but outlines remain twice as long; without rechecks,
+/// outlines stay.
+const FRAMES: u8 = 12;
+/// Radius around a changed block, in blocks, that counts as near. Fewer save 9 % of the bytes and lose 0.02 dB.
+const RADIUS: usize = 2;
 
 /// Countdowns of all blocks.
 #[derive(Clone, Debug)]
 pub struct Rechecks {
-    settings: RecheckSettings,
     /// Frames until each block's recheck; 0: none is due.
     countdown: Vec<u8>,
 }
 
 impl Rechecks {
     /// Starts with no recheck due, for this many blocks.
-    pub fn new(blocks: usize, settings: RecheckSettings) -> Self {
-        Self { settings, countdown: vec![0; blocks] }
+    pub fn new(blocks: usize) -> Self {
+        Self { countdown: vec![0; blocks] }
     }
 
     /// Records a frame's changes. Returns the blocks to recheck with this frame, each as a change by 1.
@@ -41,13 +33,12 @@ impl Rechecks {
             *left = left.saturating_sub(1);
         }
         let (across, down) = (change.across, change.blocks.len() / change.across.max(1));
-        let radius = usize::from(self.settings.blocks);
         for (i, _) in change.blocks.iter().enumerate().filter(|(_, by)| **by > 0) {
             let (x, y) = (i % across, i / across);
-            let columns = x.saturating_sub(radius)..(x + radius + 1).min(across);
-            for row in y.saturating_sub(radius)..(y + radius + 1).min(down) {
+            let columns = x.saturating_sub(RADIUS)..(x + RADIUS + 1).min(across);
+            for row in y.saturating_sub(RADIUS)..(y + RADIUS + 1).min(down) {
                 let blocks = row * across + columns.start..row * across + columns.end;
-                self.countdown[blocks.clone()].fill(self.settings.frames);
+                self.countdown[blocks.clone()].fill(FRAMES);
                 due[blocks].fill(0);
             }
         }
@@ -75,10 +66,10 @@ mod tests {
 
     #[test]
     fn blocks_near_a_change_are_rechecked_once() {
-        let mut rechecks = Rechecks::new(ACROSS * 7, RECHECK);
+        let mut rechecks = Rechecks::new(ACROSS * 7);
         let at = 3 * ACROSS + 4;
         assert!(due(&mut rechecks, &[at]).is_empty());
-        for _ in 1..RECHECK.frames {
+        for _ in 1..FRAMES {
             assert!(due(&mut rechecks, &[]).is_empty());
         }
         let near: Vec<usize> = (1..=5).flat_map(|y| (2..=6).map(move |x| y * ACROSS + x)).collect();
@@ -88,12 +79,12 @@ mod tests {
 
     #[test]
     fn another_change_restarts_the_countdown() {
-        let mut rechecks = Rechecks::new(ACROSS * 7, RECHECK);
+        let mut rechecks = Rechecks::new(ACROSS * 7);
         let corner = ACROSS * 7 - 1;
-        for _ in 0..3 * RECHECK.frames {
+        for _ in 0..3 * FRAMES {
             assert!(due(&mut rechecks, &[0, corner]).is_empty());
         }
-        for _ in 1..RECHECK.frames {
+        for _ in 1..FRAMES {
             assert!(due(&mut rechecks, &[0]).is_empty());
         }
         // the first corner still changes
@@ -102,13 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn zero_frames_disable_rechecks() {
-        let mut rechecks = Rechecks::new(ACROSS * 7, RecheckSettings { frames: 0, ..RECHECK });
-        assert!((0..40).all(|n| due(&mut rechecks, if n == 0 { &[30] } else { &[] }).is_empty()));
-    }
-
-    #[test]
     fn an_empty_picture_has_no_blocks() {
-        assert!(Rechecks::new(0, RECHECK).next(&Change { blocks: Vec::new(), across: 0, cut: true }).blocks.is_empty());
+        assert!(Rechecks::new(0).next(&Change { blocks: Vec::new(), across: 0, cut: true }).blocks.is_empty());
     }
 }

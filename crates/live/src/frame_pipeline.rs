@@ -14,8 +14,8 @@ use tmpi_pipeline::run::stages::{Planes, Prepared, WeightedDisparity};
 use tmpi_pipeline::{MakeError, Models, Options, PlaneCount, Silent, StageTime, layers};
 
 use crate::align;
-use crate::change::{BLOCK, Change, Compare, Tolerance};
-use crate::depth_recheck::{RECHECK, RecheckSettings, Rechecks};
+use crate::change::{BLOCK, Change, Compare};
+use crate::depth_recheck::Rechecks;
 use crate::tile_displacement::tile_displacement;
 use crate::tile_queue::Queue;
 use crate::{Budget, TileBudget};
@@ -63,30 +63,19 @@ const DEPTH_CHANGED: f64 = 0.02;
 pub struct Settings {
     /// Options as for a photo, with [`MAX_ERROR`] as the error (half of it for measured depth). Sizes, quality and budget have no effect.
     pub options: Options,
-    /// How much a block may differ from the frame that its geometry comes from and still count as unchanged.
-    pub tolerance: Tolerance,
     /// A tile is sent only if its new planes move some point by more than this many pixels, for some camera in the view box
     /// ([`tile_displacement`]). 0: every difference is sent.
     pub parallax: f64,
     /// After a frame whose tiles were sent, no tiles are placed or sent for this long; changes wait for a later frame. Does not apply to
     /// measured depth: its tiles are few, and accurate enough that lateness would be visible.
     pub cooldown: Duration,
-    /// When to estimate depth again near past motion.
-    pub recheck: RecheckSettings,
     /// Milliseconds that the geometry of a frame may take ([`Budget`]); 0: no limit.
     pub frame_ms: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self {
-            options: Options { max_error: MAX_ERROR, ..Options::default() },
-            tolerance: Tolerance::default(),
-            parallax: PARALLAX,
-            cooldown: COOLDOWN,
-            recheck: RECHECK,
-            frame_ms: 0.0,
-        }
+        Self { options: Options { max_error: MAX_ERROR, ..Options::default() }, parallax: PARALLAX, cooldown: COOLDOWN, frame_ms: 0.0 }
     }
 }
 
@@ -191,7 +180,7 @@ pub enum GeometryError {
 impl FramePipeline {
     /// Starts without any frame.
     pub fn new(models: Models, settings: Settings) -> Self {
-        let (budget, compare) = (Budget::new(settings.frame_ms), Compare::new(settings.tolerance));
+        let (budget, compare) = (Budget::new(settings.frame_ms), Compare::default());
         Self {
             models,
             settings,
@@ -327,7 +316,7 @@ impl State {
             geometry,
             delta: DisparityMap { width, height, delta: vec![0.0; photo.rgb.len()] },
             stale: vec![false; blocks],
-            rechecks: Rechecks::new(blocks, settings.recheck),
+            rechecks: Rechecks::new(blocks),
             has_depth: false,
             last_sent: None,
         }

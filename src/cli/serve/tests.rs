@@ -26,13 +26,6 @@ fn explicit_settings_override_those_implied_by_flags() {
 }
 
 #[test]
-fn a_worker_node_needs_a_database() {
-    let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).unwrap().serve.at_work();
-    assert!(of(&[]).unwrap_err().is::<Usage>());
-    assert_eq!(of(&["--database", "postgres://db/tmpi"]).unwrap().role, Role::Work);
-}
-
-#[test]
 fn access_is_private_beyond_loopback_and_with_host_names() {
     let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).unwrap().serve.is_private();
     assert!(!of(&[]) && !of(&["--addr", "[::1]:80"]), "loopback is open by default");

@@ -13,7 +13,6 @@ use crate::live::ring::MessageKind;
 use crate::live::tile_store::Chunks;
 
 impl Room {
-    /// Whether this node is an edge of the room.
     pub fn is_edge(&self) -> bool {
         self.lock().edge.is_some()
     }

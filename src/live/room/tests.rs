@@ -49,7 +49,6 @@ impl Made {
     }
 }
 
-/// A viewer.
 pub struct Watcher {
     viewer: Viewer,
     pub model: TileState,
@@ -71,7 +70,6 @@ impl Watcher {
         watcher
     }
 
-    /// The tiles of a message.
     pub fn held(tiles: &schema::Geometry) -> BTreeSet<u32> {
         let grid = geometry(0.5).grid;
         tiles.chunks.iter().flat_map(|c| chunk::area(c).tiles(&grid).collect::<Vec<_>>()).collect()

@@ -12,9 +12,6 @@ const OWNER: &str = "tmpi_o_";
 const CHARACTERS: std::ops::RangeInclusive<usize> = 32..=128;
 
 /// A fresh secret of an owner.
-///
-/// # Errors
-/// 500 where the system has no random bytes.
 pub fn new_secret() -> Result<String, Problem> {
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).map_err(|e| Problem::internal("a new secret", &e))?;
@@ -78,9 +75,6 @@ impl Caller {
     }
 
     /// Checks the right to a route that is not about one photo.
-    ///
-    /// # Errors
-    /// 403.
     pub fn require_scope(&self, scope: Scope) -> Result<(), Problem> {
         let detail = match self {
             // a photo's token names no owner for an upload

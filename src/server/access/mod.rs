@@ -229,17 +229,11 @@ impl Guard {
     }
 
     /// Whether the browser's cookie belongs to another owner.
-    ///
-    /// # Errors
-    /// 503 where the library cannot be reached.
     pub async fn is_another(&self, headers: &HeaderMap, owner: &Owner) -> Result<bool, Problem> {
         Ok(self.of_cookie(headers).await?.owner().is_some_and(|kept| kept != *owner))
     }
 
     /// A ticket that makes another browser this owner, and when it expires.
-    ///
-    /// # Errors
-    /// 503 where the library cannot be reached.
     pub async fn ticket(&self, owner: &Owner) -> Result<(String, u64), Problem> {
         let expires = seconds(self.library.now().await?) + TICKET;
         Ok((format!("{TICKET_PREFIX}{}", self.library.secret().sign_for(Grant::Ticket, owner, expires)), expires))
@@ -247,9 +241,6 @@ impl Guard {
 
     /// The owner that the caller's secret, session or ticket names, and the cookie that makes a browser this owner: the secret or session
     /// itself, or a session for the ticket.
-    ///
-    /// # Errors
-    /// 503 where the library cannot be reached.
     pub async fn named_owner(&self) -> Result<Option<(Owner, String)>, Problem> {
         Ok(match admission().as_deref().map(|come| &come.caller) {
             Some(Caller::Owner(owner, kept)) => Some((owner.clone(), kept.clone())),
@@ -309,9 +300,6 @@ impl Guard {
     }
 
     /// The owner of the caller's uploads; if the caller has no secret, a new one for this one photo, whose secret is not kept. True if new.
-    ///
-    /// # Errors
-    /// 500 if the system has no random bytes.
     pub fn uploader() -> Result<(Owner, bool), Problem> {
         match Self::owner() {
             Some(owner) => Ok((owner, false)),

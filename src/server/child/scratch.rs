@@ -14,9 +14,6 @@ const TRIES: u32 = 100;
 const PAUSE: Duration = Duration::from_millis(2);
 
 /// Removes leftovers of earlier processes from a data directory that this process has locked; blocks.
-///
-/// # Errors
-/// If they cannot be removed.
 pub fn remove_leftovers(data: &Path) -> io::Result<()> {
     match std::fs::remove_dir_all(data.join(FOLDER)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -46,9 +43,6 @@ impl Scratch {
     }
 
     /// Creates it if it is missing, accessible only to its owner; blocks.
-    ///
-    /// # Errors
-    /// If the data directory cannot be written.
     pub fn make(&self) -> io::Result<()> {
         let mut builder = std::fs::DirBuilder::new();
         #[cfg(unix)]

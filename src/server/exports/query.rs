@@ -35,9 +35,6 @@ impl ExportQuery {
     }
 
     /// Like [`Self::read`], for parameters that are parsed already.
-    ///
-    /// # Errors
-    /// 400 that names the first parameter that is wrong.
     pub fn of(mut pairs: Pairs) -> Result<Self, Problem> {
         let format = pairs.parse("format", "html, glb, ora, rgbd or zip", ExportFormat::from_name)?.unwrap_or_default();
         for name in ["shape", "textures"] {

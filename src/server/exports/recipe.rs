@@ -55,9 +55,6 @@ impl Recipe {
     }
 
     /// Parses the text of [`Recipe::text`].
-    ///
-    /// # Errors
-    /// As [`Recipe::read`].
     pub fn parse(text: &str, limits: &Limits) -> Result<Self, Problem> {
         Self::read(form_urlencoded::parse(text.as_bytes()).into_owned().collect(), (1, 1), limits)
     }

@@ -52,20 +52,6 @@ pub struct ExportOrder {
     h: Option<u32>,
 }
 
-/// State of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum ExportStateName {
-    /// Waits in the queue.
-    Queued,
-    /// Is being written.
-    Working,
-    /// Written; download it at `links.file`.
-    Done,
-    /// Could not be written; `problem` says why. Ordering it again retries.
-    Failed,
-}
-
 /// Addresses of a file.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub struct ExportLinks {
@@ -83,8 +69,9 @@ pub struct ExportLinks {
 pub struct ExportState {
     /// Its name, unique among the photo's files.
     key: String,
-    /// Its state.
-    state: ExportStateName,
+    /// `queued`: waits. `working`: is being written. `done`: download it at `links.file`. `failed`: could not be written; `problem` says
+    /// why, and ordering it again retries.
+    state: &'static str,
     /// All its parameters, including defaults.
     parameters: BTreeMap<String, String>,
     /// Bytes, once it is written.
@@ -103,19 +90,13 @@ pub struct ExportState {
 
 impl ExportState {
     fn of(app: &AppState, job: &Job) -> Self {
-        let state = match job.state {
-            JobState::Queued => ExportStateName::Queued,
-            JobState::Working => ExportStateName::Working,
-            JobState::Done => ExportStateName::Done,
-            JobState::Failed => ExportStateName::Failed,
-        };
         let key = job.key().unwrap_or_default().to_owned();
         let photo = format!("/v1/photos/{}", job.photo);
         let this = format!("{photo}/exports/{key}");
         let stays = app.limits.exports.keep.as_millis() as i64;
         Self {
             key,
-            state,
+            state: job.state.name(),
             parameters: form_urlencoded::parse(recipe_of(job).as_bytes()).into_owned().collect(),
             bytes: job.result.as_ref().map(|blob| blob.bytes),
             problem: job.problem.as_ref().filter(|_| job.state == JobState::Failed).map(Problem::of_library),
@@ -125,7 +106,7 @@ impl ExportState {
     }
 
     fn answer(self, ended: StatusCode) -> Response {
-        let waits = matches!(self.state, ExportStateName::Queued | ExportStateName::Working);
+        let waits = matches!(self.state, "queued" | "working");
         let location = self.links.this.clone();
         let mut response = (if waits { StatusCode::ACCEPTED } else { ended }, Json(self)).into_response();
         insert(&mut response, LOCATION, &location);

@@ -48,6 +48,8 @@ pub fn add_values(document: &mut Value) {
     document["security"] = json!([{}, {"bearer": []}, {"cookie": []}]);
     let exports = ExportFormat::ALL.map(ExportFormat::name).into_iter();
     let fields = [
+        ("PhotoState", "state", json!(["queued", "working", "done", "failed", "damaged"])),
+        ("ExportState", "state", json!(["queued", "working", "done", "failed"])),
         ("UploadForm", "class", json!(["interactive", "batch"])),
         ("UploadForm", "denoise", words::<Denoise>()),
         ("UploadForm", "depth_kind", words::<DepthKind>()),

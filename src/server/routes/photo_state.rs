@@ -12,22 +12,6 @@ use crate::server::timestamps::rfc3339;
 use crate::server::viewer_settings::{Settings, Visibility};
 use tmpi_library::{JobKind, LibraryError, Part, Photo, PhotoState as Phase};
 
-/// State of a photo.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum StateName {
-    /// Waits for a worker.
-    Queued,
-    /// A worker is making it.
-    Working,
-    /// Finished: atlas, views, depth, report and thumbnail are available.
-    Done,
-    /// Could not be made; `problem` says why. Uploading the same photo again retries.
-    Failed,
-    /// Was finished, but its files are damaged; `problem` says which. Uploading the same photo again makes it again.
-    Damaged,
-}
-
 /// Current stage of a photo, as [`tmpi_pipeline::Progress`] tells it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Progress {
@@ -84,8 +68,10 @@ pub struct PhotoState {
     /// Id: 32 hex digits, a hash of photo, depth map and options.
     #[schema(example = "0123456789abcdef0123456789abcdef")]
     pub id: String,
-    /// Its state.
-    pub state: StateName,
+    /// `queued`: waits for a worker. `working`: a worker is making it. `done`: atlas, views, depth, report and thumbnail are available.
+    /// `failed`: could not be made. `damaged`: was done, but its files are damaged. `problem` then says why or which, and uploading the
+    /// same photo again makes it again.
+    pub state: &'static str,
     /// When it was accepted (RFC 3339, UTC).
     #[schema(format = DateTime)]
     pub created: String,
@@ -152,23 +138,8 @@ pub struct PhotoList {
     pub next: Option<String>,
 }
 
-impl From<Phase> for StateName {
-    fn from(state: Phase) -> Self {
-        match state {
-            Phase::Queued => Self::Queued,
-            Phase::Working => Self::Working,
-            Phase::Done => Self::Done,
-            Phase::Failed => Self::Failed,
-            Phase::Damaged => Self::Damaged,
-        }
-    }
-}
-
 impl PhotoState {
     /// The full state of a photo.
-    ///
-    /// # Errors
-    /// 503 if the library is unreachable.
     pub async fn of(app: &AppState, photo: &Photo) -> Result<Self, Problem> {
         let mut state = Self::of_row(app, photo);
         match photo.state {
@@ -203,7 +174,7 @@ impl PhotoState {
         let bytes = |part| photo.blobs.get(&part).map(|blob| blob.bytes);
         Self {
             id: photo.id.to_string(),
-            state: photo.state.into(),
+            state: photo.state.name(),
             created: rfc3339(photo.accepted_at),
             finished: photo.finished_at.map(rfc3339),
             expires: app.library.ends_at(photo.accepted_at).map(rfc3339),

@@ -185,9 +185,6 @@ pub(super) async fn answer(
 }
 
 /// The photo once nothing follows, or so many seconds are over, or the request's time nearly is, or the server stops.
-///
-/// # Errors
-/// 404 where it was deleted, 503 where the library cannot be reached.
 async fn wait_for(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>) -> Result<Photo, Problem> {
     let Some(seconds) = wait else { return Ok(photo) };
     // counted from the end of the body; the longest wait is what the request has left

@@ -16,9 +16,6 @@ use crate::server::problem::Problem;
 use crate::server::request_body;
 
 /// All parameters of a query, decoded.
-///
-/// # Errors
-/// 400 if it is not UTF-8.
 pub fn decode(uri: &Uri) -> Result<Vec<(String, String)>, Problem> {
     Query::try_from_uri(uri).map(|Query(pairs)| pairs).map_err(|e| Problem::bad_request(e.body_text()))
 }
@@ -47,9 +44,6 @@ impl Pairs {
     }
 
     /// Like [`Pairs::read`], for parameters that are parsed already.
-    ///
-    /// # Errors
-    /// As [`Pairs::read`].
     pub fn of(pairs: Vec<(String, String)>, names: &[&str]) -> Result<Self, Problem> {
         let mut given = BTreeMap::new();
         for (name, value) in pairs {
@@ -75,36 +69,24 @@ impl Pairs {
     }
 
     /// The value of a parameter as `parse` reads it; `allowed` describes what it must be.
-    ///
-    /// # Errors
-    /// 400 if `parse` refuses the value.
     pub fn parse<T>(&self, name: &str, allowed: &str, parse: impl FnOnce(&str) -> Option<T>) -> Result<Option<T>, Problem> {
         let wrong = |text: &str| Problem::parameter(name, format!("must be {allowed}, not {text:?}"));
         self.get(name).map(|text| parse(text).ok_or_else(|| wrong(text))).transpose()
     }
 
     /// The choice in a parameter.
-    ///
-    /// # Errors
-    /// 400 with all choices if there is no such one.
     pub fn choice<T: ValueEnum>(&self, name: &str) -> Result<Option<T>, Problem> {
         let all: Vec<String> = T::value_variants().iter().map(value_name).collect();
         self.parse(name, &format!("one of {}", all.join(", ")), |text| T::from_str(text, false).ok())
     }
 
     /// The number in a parameter.
-    ///
-    /// # Errors
-    /// 400 if it is no number in `range`.
     pub fn number<T: FromStr + PartialOrd + Display>(&self, name: &str, range: &RangeInclusive<T>) -> Result<Option<T>, Problem> {
         let allowed = format!("from {} to {}", range.start(), range.end());
         self.parse(name, &allowed, |text| text.parse().ok().filter(|number| range.contains(number)))
     }
 
     /// A parameter with a parser that says what is wrong.
-    ///
-    /// # Errors
-    /// 400 with the parser's error.
     pub fn typed<T: FromStr<Err: Display>>(&self, name: &str) -> Result<Option<T>, Problem> {
         self.get(name).map(str::parse).transpose().map_err(|error| Problem::parameter(name, error))
     }

@@ -56,9 +56,6 @@ fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {
 }
 
 /// The format in the query, else the one that the client prefers.
-///
-/// # Errors
-/// 406 if it accepts none.
 fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFormat, Problem> {
     asked.or_else(|| negotiate(headers)).ok_or_else(|| {
         let status = axum::http::StatusCode::NOT_ACCEPTABLE;

@@ -146,9 +146,6 @@ impl ViewQuery {
     }
 
     /// Like [`Self::read`], for the parameters of a film, which has no version.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
     pub fn of_film(pairs: Vec<(String, String)>, limits: &Limits) -> Result<Self, Problem> {
         Self::of(Pairs::of(pairs, &NAMES)?, limits)
     }

@@ -18,7 +18,7 @@ use tmpi_core::ViewBox;
 use tmpi_core::live::MAX_MOTION_FRAMES;
 use tmpi_core::live::chunk::Area;
 use tmpi_core::live::coder_prior::Learning;
-use tmpi_live::{COOLDOWN, FramePipeline, RECHECK, RecheckSettings, Settings as Room, video};
+use tmpi_live::{COOLDOWN, FramePipeline, Settings as Room, video};
 use tmpi_pipeline::{Models, Options};
 
 use encode::H264;
@@ -56,12 +56,6 @@ pub struct Flags {
     /// Allowed parallax error of planes, in pixels
     #[arg(long, default_value_t = tmpi_live::MAX_ERROR, value_parser = not_negative, value_name = "PX")]
     pub max_error: f64,
-    /// Frames between the last change near a block and a second estimate of its depth; 0: none
-    #[arg(long, default_value_t = RECHECK.frames, value_name = "N")]
-    pub recheck_frames: u8,
-    /// Radius around a changed block that counts as near, in blocks of 8 pixels
-    #[arg(long, default_value_t = RECHECK.blocks, value_name = "N")]
-    pub recheck_blocks: u8,
     /// With estimated depth, milliseconds after sending tiles during which no others are sent
     #[arg(long, default_value_t = COOLDOWN.as_millis() as u16, value_parser = clap::value_parser!(u16).range(0..=1000), value_name = "MS")]
     pub cooldown_ms: u16,
@@ -143,10 +137,9 @@ fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<St
 /// Settings of the room for a sequence.
 fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64) -> Room {
     let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
-    let Flags { parallax, max_error, recheck_frames, recheck_blocks, cooldown_ms, .. } = settings.flags;
+    let Flags { parallax, max_error, cooldown_ms, .. } = settings.flags;
     let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error, view_box: VIEW_BOX, ..Options::default() };
-    let recheck = RecheckSettings { frames: recheck_frames, blocks: recheck_blocks };
-    Room { options, parallax, cooldown: Duration::from_millis(cooldown_ms.into()), recheck, frame_ms, ..Room::default() }
+    Room { options, parallax, cooldown: Duration::from_millis(cooldown_ms.into()), frame_ms }
 }
 
 /// Learns the initial state of the chunk coders (`crates/core/src/live/coder_prior.in`) from the chunks of rendered sequences.

@@ -146,9 +146,6 @@ impl BlobStore {
     }
 
     /// Checks that the disk has space for this many bytes beyond its reserve.
-    ///
-    /// # Errors
-    /// [`LibraryError::StorageFull`].
     pub fn check_space(&self, bytes: u64) -> Result<()> {
         let Backend::Folder(folder) = &self.0 else { return Ok(()) };
         folder.check_space(bytes)
@@ -227,9 +224,6 @@ impl BlobStore {
     }
 
     /// A range of a blob's bytes.
-    ///
-    /// # Errors
-    /// [`LibraryError::NotFound`].
     pub async fn read_range(&self, blob: &Blob, range: Range<u64>) -> Result<Bytes> {
         self.get(&blob.name, Some(range.start.min(blob.bytes)..range.end.min(blob.bytes))).await
     }

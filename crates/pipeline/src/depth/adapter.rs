@@ -1,6 +1,6 @@
 //! What each depth network expects and returns, as data.
 
-use crate::photo::{Filter, Interpolation};
+use crate::photo::Filter;
 
 /// Size at which a network runs, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,8 +13,6 @@ pub enum SizeRule {
     Near(u32, u32),
     /// The photo's aspect with neither side longer than this.
     Within(u32),
-    /// The photo's aspect with the shorter side this long.
-    Shortest(u32),
     /// First the photo's aspect in whole pixels with the longer side this long, then the nearest multiples.
     Longest(u32),
     /// The photo's aspect with about this many squares of [`Adapter::multiple`] pixels a side.
@@ -30,25 +28,8 @@ pub enum Sampling {
     Bytes(Filter),
     /// By `OpenCV`'s cubic over four pixels, whatever the ratio.
     Four,
-    /// By an interpolation of `OpenCV` with its rounding to bytes; with [`SizeRule::Longest`], by way of its size in whole pixels.
-    OpenCv(Interpolation),
-    /// First extended by mirrored margins of [`margin`] pixels, then linear between the two nearest pixels, corners on corners. The
-    /// margins are cropped from the map again.
-    Mirrored,
-}
-
-/// Pixels that [`Sampling::Mirrored`] adds at either end of a side of `side` pixels: 3·√(side / 2).
-pub fn margin(side: u32) -> u32 {
-    ((f64::from(side) / 2.0).sqrt() * 3.0) as u32
-}
-
-/// Order of a tensor's dimensions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Layout {
-    /// Batch, channel, row, column.
-    Nchw,
-    /// Batch, row, column, channel.
-    Nhwc,
+    /// As `OpenCV` does it, with its rounding to bytes; with [`SizeRule::Longest`], by way of its size in whole pixels.
+    OpenCv,
 }
 
 /// What a network returns for a pixel.
@@ -58,8 +39,6 @@ pub enum Kind {
     Disparity,
     /// Distance.
     Metric,
-    /// Logarithm of the distance.
-    LogDepth,
     /// A point in front of the camera, row by row x, y, z. Its distance is z plus an unknown shift that all points share, see
     /// [`super::points`].
     Points,
@@ -111,8 +90,6 @@ pub struct Adapter {
     pub mean: [f32; 3],
     /// Standard deviation of RGB in 0..=1, by which it is divided.
     pub deviation: [f32; 3],
-    /// Order of the input's dimensions.
-    pub layout: Layout,
     /// Meaning of the output.
     pub output: Kind,
     /// Which outputs are used.
@@ -140,16 +117,14 @@ const CUBIC: Sampling = Sampling::Bytes(Filter::Cubic);
 const LINEAR: Sampling = Sampling::Bytes(Filter::Triangle);
 
 const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3], [f32; 3]), sampling: Sampling, output: Kind) -> Adapter {
-    let (layout, outputs) = (Layout::Nchw, Outputs::FIRST);
     Adapter {
         name,
         size,
         multiple,
         mean: norm.0,
         deviation: norm.1,
-        layout,
         output,
-        outputs,
+        outputs: Outputs::FIRST,
         views: false,
         sampling,
         smoothing: 0.0,
@@ -160,11 +135,11 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
 }
 
 /// All known networks; the first is the embedded one. Input for the others is prepared as their publishers do it, down to the rounding,
-/// and `training/compare_adapters.py` checks this. DPT, Depth Anything and `ZoeDepth` follow the image processors and published settings of
+/// and `training/compare_adapters.py` checks this. DPT and Depth Anything follow the image processors and published settings of
 /// `transformers`. The ONNX files of the `MiDaS` project have one size and normalise their input themselves; those exported from its
 /// torch hub do neither. `MoGe` resamples the photo to its tokens itself, but without antialiasing in ONNX: it gets what its own code
 /// makes of the photo, for as many tokens as its ONNX documentation takes.
-pub const ADAPTERS: [Adapter; 14] = [
+pub const ADAPTERS: [Adapter; 11] = [
     Adapter {
         smoothing: 100.0,
         ramp: 0.05,
@@ -180,18 +155,15 @@ pub const ADAPTERS: [Adapter; 14] = [
     entry("dpt-large", SizeRule::Fixed(384, 384), 32, HALF, LINEAR, Kind::Disparity),
     entry("depth-anything-v2", SizeRule::Near(518, 518), 14, IMAGENET, CUBIC, Kind::Disparity),
     entry("depth-anything-v2-metric", SizeRule::Near(518, 518), 14, IMAGENET, CUBIC, Kind::Metric),
-    entry("zoedepth", SizeRule::Near(512, 384), 32, HALF, Sampling::Mirrored, Kind::Metric),
     Adapter {
         outputs: Outputs::VIEWS,
         views: true,
-        ..entry("depth-anything-3", SizeRule::Longest(504), 14, IMAGENET, Sampling::OpenCv(Interpolation::AreaOrCubic), Kind::Metric)
+        ..entry("depth-anything-3", SizeRule::Longest(504), 14, IMAGENET, Sampling::OpenCv, Kind::Metric)
     },
     Adapter {
         outputs: Outputs::POINTS,
         ..entry("moge-2", SizeRule::Squares(1800), 14, PLAIN, Sampling::Unrounded(Filter::Triangle), Kind::Points)
     },
-    entry("zipdepth", SizeRule::Shortest(384), 32, PLAIN, Sampling::OpenCv(Interpolation::Linear), Kind::Disparity),
-    entry("log-depth", SizeRule::Area(384 * 512), 32, IMAGENET, Sampling::Unrounded(Filter::Cubic), Kind::LogDepth),
 ];
 
 /// Finds a network by its name.
@@ -219,20 +191,15 @@ impl Adapter {
             SizeRule::Area(pixels) => self.by_area(f64::from(pixels).min(Self::MAX_PIXELS), Self::aspect(width, height)),
             SizeRule::Near(w, h) => {
                 // the publishers' order of operations: quotients fall on halves, and rounding decides
-                let (width, height) = self.squeezed(width, height);
+                let (width, height) = Self::squeezed(width, height);
                 let (across, down) = (f64::from(w) / width, f64::from(h) / height);
                 let scale = if (1.0 - across).abs() < (1.0 - down).abs() { across } else { down };
                 (self.rounded(scale * width, None), self.rounded(scale * height, None))
             }
             SizeRule::Within(side) => {
-                let (width, height) = self.squeezed(width, height);
+                let (width, height) = Self::squeezed(width, height);
                 let scale = (f64::from(side) / width).min(f64::from(side) / height);
                 (self.rounded(scale * width, Some(side)), self.rounded(scale * height, Some(side)))
-            }
-            SizeRule::Shortest(side) => {
-                let (width, height) = self.squeezed(width, height);
-                let scale = f64::from(side) / width.min(height);
-                (self.rounded(width * scale, None), self.rounded(height * scale, None))
             }
             SizeRule::Longest(_) => {
                 let (width, height) = self.intermediate_size(width, height).unwrap_or((width, height));
@@ -241,7 +208,7 @@ impl Adapter {
                 (near(width), near(height))
             }
             SizeRule::Squares(count) => {
-                let (width, height) = self.squeezed(width, height);
+                let (width, height) = Self::squeezed(width, height);
                 let aspect = width / height;
                 let side = |squares: f64| (squares.sqrt().round_ties_even().max(1.0) as u32) * self.multiple;
                 (side(f64::from(count) * aspect), side(f64::from(count) / aspect))
@@ -277,16 +244,14 @@ impl Adapter {
     /// Intermediate size in whole pixels to which a photo of `width × height` is resampled first, if the rule has one.
     pub fn intermediate_size(&self, width: u32, height: u32) -> Option<(u32, u32)> {
         let SizeRule::Longest(side) = self.size else { return None };
-        let (width, height) = self.squeezed(width, height);
+        let (width, height) = Self::squeezed(width, height);
         let scale = f64::from(side) / width.max(height);
         let whole = |v: f64| (v * scale).round_ties_even().max(1.0) as u32;
         Some((whole(width), whole(height)))
     }
 
-    /// The photo's size with its margins, if it gets any, and with its longer side cut to [`Self::MAX_ASPECT_BY_SIDE`].
-    fn squeezed(&self, width: u32, height: u32) -> (f64, f64) {
-        let pad = if self.sampling == Sampling::Mirrored { margin } else { |_| 0 };
-        let (w, h) = (width + 2 * pad(width), height + 2 * pad(height));
+    /// The photo's size with its longer side cut to [`Self::MAX_ASPECT_BY_SIDE`].
+    fn squeezed(w: u32, h: u32) -> (f64, f64) {
         (f64::from(w.min(h * Self::MAX_ASPECT_BY_SIDE)), f64::from(h.min(w * Self::MAX_ASPECT_BY_SIDE)))
     }
 
@@ -357,9 +322,6 @@ mod tests {
         assert_eq!(size("midas-v2.1-small-hub", 1500, 1000), (256, 160));
         assert_eq!(size("midas-v2.1-small-hub", 1000, 1500), (160, 256));
         assert_eq!(size("midas-v2.1-hub", 1000, 1000), (384, 384));
-        assert_eq!(size("zoedepth", 640, 480), (512, 384));
-        assert_eq!(size("zoedepth", 1500, 1000), (576, 384));
-        assert_eq!((margin(640), margin(480), margin(1)), (53, 46, 2));
         assert_eq!(size("depth-anything-3", 1000, 750), (504, 378));
         assert_eq!(size("depth-anything-3", 300, 301), (504, 504), "502 and 504");
         assert_eq!(size("depth-anything-3", 1008, 686), (504, 350), "343 lies between 336 and 350: the larger one");
@@ -368,9 +330,6 @@ mod tests {
         assert_eq!(size("moge-2", 518, 518), (588, 588), "42² = 1764 tokens");
         assert_eq!(size("moge-2", 4000, 3000), (686, 518), "49 × 37 = 1813");
         assert_eq!(size("moge-2", 1000, 2000), (420, 840), "30 × 60 = 1800");
-        assert_eq!(size("zipdepth", 1000, 1000), (384, 384));
-        assert_eq!(size("zipdepth", 1920, 1080), (672, 384), "682.7 is 21.3 multiples");
-        assert_eq!(size("zipdepth", 300, 400), (384, 512));
     }
 
     proptest! {

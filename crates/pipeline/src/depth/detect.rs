@@ -8,14 +8,13 @@ use super::{ADAPTERS, Adapter, adapter};
 use crate::networks::{OnnxGraph, onnx_graph};
 
 /// Words of a file's name that identify a network, the more specific ones first, and its adapter.
-const WORDS: [(&[&str], &str); 13] = [
+const WORDS: [(&[&str], &str); 12] = [
     (&["depth-anything-v3"], "depth-anything-3"),
     (&["depthanything3"], "depth-anything-3"),
     (&["depthanythingv3"], "depth-anything-3"),
     (&["moge2"], "moge-2"),
     (&["depth-anything", "metric"], "depth-anything-v2-metric"),
     (&["depth-anything"], "depth-anything-v2"),
-    (&["zoe"], "zoedepth"),
     (&["dpt", "hybrid"], "dpt-hybrid"),
     (&["dpt", "large"], "dpt-large"),
     (&["midas", "small"], "midas-v2.1-small"),
@@ -55,16 +54,12 @@ fn by_graph(graph: &OnnxGraph) -> Option<&'static Adapter> {
     if depth && (gives("sky") || gives("depth_conf") || graph.shape.len() == 5 && (gives("confidence") || gives("extrinsics"))) {
         return adapter("depth-anything-3");
     }
-    if depth && graph.convolution.contains("encoder.stem_half") {
-        return adapter("zipdepth");
-    }
     let [_, _, h, w] = graph.shape[..] else { return None };
     let name = match (w, h) {
         (256, 256) => "midas-v2.1-small",
         // the name in `transformers`
         (384, 384) if graph.input == "pixel_values" => "dpt-large",
         (384, 384) => "midas-v2.1",
-        (512, 384) => "zoedepth",
         (14.., 14..) if w % 14 == 0 && h % 14 == 0 && (w % 32 != 0 || h % 32 != 0) => "depth-anything-v2",
         _ => return None,
     };
@@ -94,8 +89,6 @@ mod tests {
             ("depth-anything-v2-small/onnx/model.onnx", "depth-anything-v2"),
             ("Depth-Anything-V2-Metric-Indoor-Small-hf/model.onnx", "depth-anything-v2-metric"),
             ("depth_anything_metric_depth_indoor.onnx", "depth-anything-v2-metric"),
-            ("ZoeD_N.onnx", "zoedepth"),
-            ("zoedepth-nyu-kitti/onnx/model.onnx", "zoedepth"),
             ("depth-anything-3-small.onnx", "depth-anything-3"),
             ("depth-anything-v3-small/onnx/model.onnx", "depth-anything-3"),
             ("Depth-Anything-3-Onnx/da3metric-large_504.onnx", "depth-anything-3"),
@@ -106,8 +99,6 @@ mod tests {
             ("DepthAnything3_ONNX/small.onnx", "depth-anything-3"),
             ("moge-2-vits-normal-onnx/model.onnx", "moge-2"),
             ("moge2-vitb-normal.onnx", "moge-2"),
-            ("zipdepth_base_384x384.onnx", "zipdepth"),
-            ("zipdepth_base_npu_512x384.onnx", "zipdepth"),
         ] {
             assert_eq!(detect(Path::new(file)).map(|a| a.name), Some(want), "{file}");
         }
@@ -125,7 +116,6 @@ mod tests {
         assert_eq!(of("pixel_values", 384, 384, false), Some("dpt-large"));
         assert_eq!(of("image", 518, 518, false), Some("depth-anything-v2"));
         assert_eq!(of("image", 686, 518, false), Some("depth-anything-v2"));
-        assert_eq!(of("pixel_values", 512, 384, false), Some("zoedepth"));
         assert_eq!(of("image", -1, -1, false), None);
         assert_eq!(of("image", 448, 224, false), None);
     }
@@ -135,8 +125,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("m.onnx");
         let tests = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/onnx"));
-        for (fixture, want) in [("points", Some("moge-2")), ("views", Some("depth-anything-3")), ("stem", Some("zipdepth")), ("mean", None)]
-        {
+        for (fixture, want) in [("points", Some("moge-2")), ("views", Some("depth-anything-3")), ("mean", None)] {
             std::fs::copy(tests.join(fixture).with_extension("onnx"), &file).unwrap();
             assert_eq!(detect(&file).map(|a| a.name), want, "{fixture}");
         }

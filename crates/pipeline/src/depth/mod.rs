@@ -13,7 +13,7 @@ pub mod points;
 mod smooth;
 mod upsample;
 
-pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Outputs, Sampling, SizeRule, Sky, adapter, margin};
+pub use adapter::{ADAPTERS, Adapter, Kind, Outputs, Sampling, SizeRule, Sky, adapter};
 pub use detect::detect;
 pub(crate) use embedded::multi::second_picture;
 pub(crate) use embedded::xmp;

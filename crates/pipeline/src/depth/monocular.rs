@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::onnx_io::{OnnxIo, Values};
 use super::smooth::smooth;
-use super::{Adapter, DepthError, Estimate, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
+use super::{Adapter, DepthError, Estimate, Estimator, Kind, Sampling, SizeRule, upsample};
 use crate::networks::{Config, ExternalData, Network, OnnxError, Session};
 use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes, resize_opencv};
 use crate::usage::Clock;
@@ -48,8 +48,7 @@ impl Monocular {
         Ok(Self { adapter, rule, network: Arc::new(session), io })
     }
 
-    /// Runs the network once. Returns disparity at the network's size, without the margins that the photo was given; every value is
-    /// finite.
+    /// Runs the network once. Returns disparity at the network's size; every value is finite.
     fn run(&self, photo: &Photo, (w, h): (u32, u32), mirrored: bool) -> Result<DisparityMap, DepthError> {
         let planar = self.input(photo, (w, h), mirrored);
         let (w, h) = (w as usize, h as usize);
@@ -59,7 +58,6 @@ impl Monocular {
         if !data.iter().any(|v| v.is_finite()) {
             return Err(fail("it returned no finite value".into()).into());
         }
-        let (data, w, h) = self.without_margins(data, photo, w, h);
         let mut delta: Vec<f32> = data.into_iter().map(|v| self.to_disparity(v)).collect();
         // sky is infinitely far
         delta.iter_mut().zip(sky).filter(|(_, sky)| *sky).for_each(|(v, _)| *v = 0.0);
@@ -91,57 +89,30 @@ impl Monocular {
         Ok(map)
     }
 
-    /// Crops a map of `w × h` to the part that shows the photo, and returns its new size. The scale stays about the network's.
-    fn without_margins(&self, map: Vec<f32>, photo: &Photo, w: usize, h: usize) -> (Vec<f32>, usize, usize) {
-        if self.adapter.sampling != Sampling::Mirrored {
-            return (map, w, h);
-        }
-        let axis = |map: usize, side: u32| {
-            let margin = margin(side) as usize;
-            let side = side as usize;
-            let to = ((map * side) as f64 / (side + 2 * margin) as f64).round().max(1.0) as usize;
-            (Taps::cropped(map, side, margin, to), to)
-        };
-        let ((across, to_w), (down, to_h)) = (axis(w, photo.width), axis(h, photo.height));
-        // a cubic overshoots beside the nearest surfaces: what it takes to 0 and below is as near as anything
-        let least = map.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
-        let metric = self.adapter.output == Kind::Metric;
-        let store = |[v]: [f32; 1]| if metric && v <= 0.0 { least } else { v };
-        (resample_by(&map, w, &across, &down, |v| [v], store), to_w, to_h)
-    }
-
-    /// The photo at the network's size, normalised, in the network's layout.
+    /// The photo at the network's size, normalised: channel, row, column.
     fn input(&self, photo: &Photo, size: (u32, u32), mirrored: bool) -> Vec<f32> {
-        let Adapter { mean, deviation, layout, sampling, .. } = self.adapter;
+        let Adapter { mean, deviation, sampling, .. } = self.adapter;
         let normal = |p: [f32; 3]| std::array::from_fn(|c| (p[c] - mean[c]) / deviation[c]);
         let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
         let from = (photo.width, photo.height);
         let (from_w, from_h, to_w, to_h) = (from.0 as usize, from.1 as usize, size.0 as usize, size.1 as usize);
-        let by = |across: &Taps, down: &Taps| resample_by(&photo.rgb, from_w, across, down, load, normal);
         let mut small: Vec<[f32; 3]> = match sampling {
             Sampling::Unrounded(filter) => resample(&photo.rgb, from, size, filter, load, |p| normal(p.map(|v| v.clamp(0.0, 1.0)))),
             Sampling::Bytes(filter) => resample_bytes(&photo.rgb, from, size, filter).into_iter().map(|p| normal(load(p))).collect(),
-            Sampling::OpenCv(kind) => {
+            Sampling::OpenCv => {
                 // by way of the size in whole pixels if the rule leads to this size, rounded to bytes in between, as the publishers do
                 let ruled = Adapter { size: self.rule, ..self.adapter };
                 let first = ruled.intermediate_size(from.0, from.1).filter(|_| ruled.network_size(from.0, from.1) == size);
-                let between = first.map(|between| resize_opencv(&photo.rgb, from, between, kind));
+                let between = first.map(|between| resize_opencv(&photo.rgb, from, between));
                 let (source, from) = (between.as_ref().unwrap_or(&photo.rgb), first.unwrap_or(from));
-                resize_opencv(source, from, size, kind).into_iter().map(|p| normal(load(p))).collect()
+                resize_opencv(source, from, size).into_iter().map(|p| normal(load(p))).collect()
             }
-            Sampling::Four => by(&Taps::four(from_w, to_w), &Taps::four(from_h, to_h)),
-            Sampling::Mirrored => {
-                let taps = |side: u32, to| Taps::mirrored(side as usize, margin(side) as usize, to);
-                by(&taps(photo.width, to_w), &taps(photo.height, to_h))
-            }
+            Sampling::Four => resample_by(&photo.rgb, from_w, &Taps::four(from_w, to_w), &Taps::four(from_h, to_h), load, normal),
         };
         if mirrored {
             small.chunks_exact_mut(to_w).for_each(<[[f32; 3]]>::reverse);
         }
-        match layout {
-            Layout::Nhwc => small.into_flattened(),
-            Layout::Nchw => (0..3).flat_map(|c| small.iter().map(move |p| p[c])).collect(),
-        }
+        (0..3).flat_map(|c| small.iter().map(move |p| p[c])).collect()
     }
 
     fn to_disparity(&self, v: f32) -> f32 {
@@ -150,7 +121,6 @@ impl Monocular {
             // a distance that is not positive is unknown
             Kind::Metric | Kind::Points if v > 0.0 => 1.0 / v,
             Kind::Metric | Kind::Points => f32::NAN,
-            Kind::LogDepth => (-v).exp(),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Matches the inputs and outputs of a network's graph with its adapter.
 
 use super::points::shift;
-use super::{Adapter, Kind, Layout, Outputs};
+use super::{Adapter, Kind, Outputs};
 use crate::networks::{Tensor, TensorInfo};
 
 /// Indices of a graph's inputs and outputs.
@@ -53,7 +53,7 @@ impl OnnxIo {
         }
         let shape = &inputs[picture].shape;
         let wrong = || format!("its input has dimensions {shape:?}, not those of a picture of three channels");
-        let (views, [a, b, c]) = match shape[..] {
+        let (views, [channels, rows, columns]) = match shape[..] {
             [_, a, b, c] => (1, [a, b, c]),
             [_, views, a, b, c] if adapter.views => (views, [a, b, c]),
             _ => return Err(wrong()),
@@ -61,7 +61,6 @@ impl OnnxIo {
         if views > 1 {
             return Err(format!("it needs {views} pictures at once: export it for one"));
         }
-        let (channels, rows, columns) = if adapter.layout == Layout::Nchw { (a, b, c) } else { (c, a, b) };
         if channels != 3 && channels >= 0 {
             return Err(wrong());
         }
@@ -86,9 +85,9 @@ impl OnnxIo {
         Ok((io, rows, columns))
     }
 
-    /// All inputs for a picture of `w × h` pixels, in the adapter's layout.
+    /// All inputs for a picture of `w × h` pixels.
     pub(super) fn inputs(&self, adapter: &Adapter, picture: Vec<f32>, w: usize, h: usize) -> Vec<Tensor> {
-        let mut shape = if adapter.layout == Layout::Nchw { vec![1, 3, h, w] } else { vec![1, h, w, 3] };
+        let mut shape = vec![1, 3, h, w];
         if self.views {
             shape.insert(1, 1);
         }
@@ -185,8 +184,8 @@ mod tests {
         says("depth-anything-v2", &[info("image", &[1, 1, 3, 504, 504])], &["depth"], "[1, 1, 3, 504, 504]");
         says("moge-2", &[image()], &["depth", "normal"], "returns depth, normal, but none is called points");
         says("moge-2", &[info("num_tokens", &[])], &["points"], "none of its inputs is a picture");
-        says("zipdepth", &[info("image", &[1, 1, 32, 32])], &["depth"], "three channels");
-        says("zipdepth", &[], &[], "none of its inputs");
+        says("dpt-large", &[info("image", &[1, 1, 32, 32])], &["depth"], "three channels");
+        says("dpt-large", &[], &[], "none of its inputs");
     }
 
     fn tensor(shape: &[usize], data: Vec<f32>) -> Tensor {

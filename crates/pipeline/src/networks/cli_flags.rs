@@ -40,7 +40,7 @@ pub struct ModelFlags {
 impl ModelFlags {
     /// The settings that the flags describe.
     pub fn settings(&self) -> Settings {
-        let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
+        let onnx = Config { threads: self.threads.into(), providers: self.provider.clone() };
         let DepthModel { adapter, file, .. } = &self.depth_model;
         let Self { depth_pixels, depth_smoothing, depth_ramp, flip, .. } = *self;
         Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, depth_ramp, flip, onnx, ..Settings::default() }
@@ -146,8 +146,8 @@ mod tests {
         assert_eq!(depth_model("dpt-large=a=b.onnx").unwrap().file.unwrap(), PathBuf::from("a=b.onnx"));
         assert!(depth_model("nosuch").unwrap_err().contains("midas-v2.1"));
         assert!(depth_model("nosuch=dpt-large.onnx").unwrap_err().contains("one of"));
-        let alone = depth_model("nets/zoedepth-nyu/model.onnx").unwrap();
-        assert_eq!((alone.adapter.name, alone.file.unwrap()), ("zoedepth", PathBuf::from("nets/zoedepth-nyu/model.onnx")));
+        let alone = depth_model("nets/dpt-large/model.onnx").unwrap();
+        assert_eq!((alone.adapter.name, alone.file.unwrap()), ("dpt-large", PathBuf::from("nets/dpt-large/model.onnx")));
         assert!(depth_model("nets/model.onnx").unwrap_err().contains("NAME=nets/model.onnx"));
     }
 

@@ -11,7 +11,7 @@ mod tests;
 
 pub use library::{available, disable_telemetry};
 pub use onnx_graph::{OnnxGraph, onnx_graph};
-pub use session::{Config, ExternalData, Optimisation, Provider, Session, TensorInfo};
+pub use session::{Config, ExternalData, Provider, Session, TensorInfo};
 
 /// A dense `f32` tensor, row-major.
 #[derive(Clone, Debug, PartialEq)]

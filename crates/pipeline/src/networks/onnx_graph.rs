@@ -16,8 +16,6 @@ pub struct OnnxGraph {
     pub outputs: Vec<String>,
     /// The graph subtracts or divides before its first convolution: it normalises its input itself.
     pub normalises: bool,
-    /// Names of the first convolution and of its inputs, separated by spaces.
-    pub convolution: String,
     /// Files of weights outside this one, as it names them.
     pub external_data: Vec<String>,
 }
@@ -33,8 +31,7 @@ enum Field {
     Bytes(u64),
 }
 
-// Field numbers are those of onnx.proto: ModelProto.graph 7; GraphProto.node 1, initializer 5, input 11, output 12; NodeProto.input 1,
-// name 3, op_type 4; ValueInfoProto.name 1; TensorProto.external_data 13, of StringStringEntryProto.key 1 and value 2
+// Field numbers are those of onnx.proto: ModelProto.graph 7; GraphProto.node 1, initializer 5, input 11, output 12; NodeProto.op_type 4; ValueInfoProto.name 1; TensorProto.external_data 13, of StringStringEntryProto.key 1 and value 2
 fn read(file: &mut (impl BufRead + Seek)) -> io::Result<OnnxGraph> {
     let (mut found, mut begun) = (OnnxGraph::default(), false);
     while let Some((number, field)) = next(file)? {
@@ -48,19 +45,11 @@ fn read(file: &mut (impl BufRead + Seek)) -> io::Result<OnnxGraph> {
     while let Some((number, field)) = next(file)? {
         let Field::Bytes(length) = field else { continue };
         match number {
-            1 if found.convolution.is_empty() && length <= LONGEST => {
+            1 if !begun && length <= LONGEST => {
                 let node = bytes(file, length)?;
                 match operator(&node)?.as_deref() {
-                    Some("Sub" | "Div") if !begun => (begun, found.normalises) = (true, true),
-                    Some("Conv") => {
-                        begun = true;
-                        found.convolution = [all(&node, 3)?, all(&node, 1)?]
-                            .concat()
-                            .into_iter()
-                            .map(String::from_utf8_lossy)
-                            .collect::<Vec<_>>()
-                            .join(" ");
-                    }
+                    Some("Sub" | "Div") => (begun, found.normalises) = (true, true),
+                    Some("Conv") => begun = true,
                     _ => {}
                 }
             }
@@ -232,8 +221,7 @@ mod tests {
         };
         let of = |operators: &[&str]| onnx_graph(&mut Cursor::new(file(operators))).unwrap();
         let names = [["Identity"; 100].as_slice(), &["Sub", "Div", "Conv"]].concat();
-        let convolution = "stem x".into();
-        let want = OnnxGraph { input: "image".into(), shape: vec![1, 3, 384, -1], normalises: true, convolution, ..OnnxGraph::default() };
+        let want = OnnxGraph { input: "image".into(), shape: vec![1, 3, 384, -1], normalises: true, ..OnnxGraph::default() };
         assert_eq!(of(&names), want);
         assert!(!of(&["Pad", "Conv", "Sub"]).normalises && !of(&[]).normalises);
     }

@@ -12,19 +12,8 @@ use ort::value::{TensorElementType, TensorRef, ValueType};
 
 use super::{Network, OnnxError, Tensor, library};
 
-/// How far ONNX Runtime rewrites a graph while loading it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Optimisation {
-    /// Not at all.
-    Off,
-    /// Constants folded, redundant nodes removed.
-    Basic,
-    /// Also fused nodes.
-    Extended,
-    /// Also layouts of this processor.
-    #[default]
-    All,
-}
+/// Runs that may wait; further callers block.
+const QUEUE: usize = 16;
 
 /// What computes a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -56,17 +45,13 @@ impl Provider {
 pub struct Config {
     /// Threads per operation; 0: one per core.
     pub threads: usize,
-    /// Graph optimisation.
-    pub optimisation: Optimisation,
     /// Providers, best first. If the list holds [`Provider::Cpu`], missing providers are skipped; else they are errors.
     pub providers: Vec<Provider>,
-    /// Runs that may wait; further callers block.
-    pub queue: usize,
 }
 
 impl Default for Config {
     fn default() -> Self {
-        Self { threads: 0, optimisation: Optimisation::default(), providers: vec![Provider::Cpu], queue: 16 }
+        Self { threads: 0, providers: vec![Provider::Cpu] }
     }
 }
 
@@ -132,7 +117,7 @@ impl Session {
             Fault::Model(e) => reason(e),
         })?;
         let (inputs, outputs) = (ports(session.inputs(), true).map_err(reason)?, ports(session.outputs(), false).map_err(reason)?);
-        let (queue, jobs) = sync_channel(config.queue.max(1));
+        let (queue, jobs) = sync_channel(QUEUE);
         let worker = Worker { name: name.to_owned(), session, inputs: inputs.clone() };
         let plain = |ports: Vec<TypedTensor>| ports.into_iter().map(|w| w.port).collect();
         thread::Builder::new()
@@ -175,12 +160,6 @@ impl<R> From<ort::Error<R>> for Fault {
 
 fn build(model: &[u8], external_data: &[ExternalData], config: &Config) -> Result<ort::session::Session, Fault> {
     let environment = library::environment().map_err(Fault::Library)?;
-    let level = match config.optimisation {
-        Optimisation::Off => GraphOptimizationLevel::Disable,
-        Optimisation::Basic => GraphOptimizationLevel::Level1,
-        Optimisation::Extended => GraphOptimizationLevel::Level2,
-        Optimisation::All => GraphOptimizationLevel::All,
-    };
     let fall_back = config.providers.contains(&Provider::Cpu);
     let providers: Vec<_> = config
         .providers
@@ -193,7 +172,7 @@ fn build(model: &[u8], external_data: &[ExternalData], config: &Config) -> Resul
         builder = builder.with_external_initializer_file_in_memory(name, Arc::clone(bytes))?;
     }
     Ok(builder
-        .with_optimization_level(level)?
+        .with_optimization_level(GraphOptimizationLevel::All)?
         .with_intra_threads(config.threads)?
         // idle threads that spin take cores from the steps between two networks
         .with_intra_op_spinning(false)?

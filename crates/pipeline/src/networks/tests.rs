@@ -95,9 +95,7 @@ fn a_missing_provider_is_skipped_only_if_the_processor_is_listed() {
     if !has_onnx() {
         return;
     }
-    let with = |providers: Vec<Provider>| {
-        Session::load("sum", SUM_DIFFERENCE, &Config { providers, threads: 1, optimisation: Optimisation::Off, queue: 0 })
-    };
+    let with = |providers: Vec<Provider>| Session::load("sum", SUM_DIFFERENCE, &Config { providers, threads: 1 });
     assert!(with(vec![Provider::DirectMl, Provider::Cpu]).is_ok());
     assert!(matches!(with(vec![Provider::DirectMl]), Err(OnnxError::Model { .. })));
 }

@@ -50,7 +50,7 @@ pub use head::{Head, head};
 pub use limits::Limits;
 pub(crate) use resample::working_size;
 pub use resample::{Filter, reduced_size, resample, resample_by, resize};
-pub use resample_opencv::{Interpolation, resize_opencv};
+pub use resample_opencv::resize_opencv;
 pub use resample_pillow::resample_bytes;
 pub use taps::Taps;
 

@@ -40,22 +40,6 @@ impl Taps {
         Self((0..to).map(|i| gathered(&cubic(from, to, i))).collect())
     }
 
-    /// Resamples `from` samples, with `margin` mirrored ones at either end (the border not repeated), to `to`: linear between neighbours,
-    /// first on first and last on last. Equals `PyTorch`'s `bilinear` with `align_corners`. All but `margin` are at least 1.
-    pub fn mirrored(from: usize, margin: usize, to: usize) -> Self {
-        let padded = from + 2 * margin;
-        // in single precision, as in PyTorch: for thousands of samples this decides the fourth digit of a weight
-        let step = if to > 1 { (padded - 1) as f32 / (to - 1) as f32 } else { 0.0 };
-        let tap = |i: usize| {
-            let at = step * i as f32;
-            let low = (at as usize).min(padded - 1);
-            let share = f64::from((at - low as f32).clamp(0.0, 1.0));
-            let source = |p: usize| mirror(p as i64 - margin as i64, from);
-            gathered(&[(source(low), 1.0 - share), (source((low + 1).min(padded - 1)), share)])
-        };
-        Self((0..to).map(tap).collect())
-    }
-
     /// Resamples `from` samples to `to`, at least 1 and at most `from`: the mean over what a sample covers, without slivers below a
     /// thousandth of a sample. Equals `OpenCV`'s `INTER_AREA`.
     pub fn covered(from: usize, to: usize) -> Self {
@@ -77,20 +61,6 @@ impl Taps {
         };
         Self((0..to).map(tap).collect())
     }
-
-    /// The way back from [`Self::mirrored`]: resamples a map of `map` samples, which covers `from` samples and their margins, to `to`
-    /// samples that cover `from` alone. Combines two cubics of slope −¾: to `from + 2 · margin` samples, then from the `from` in the
-    /// middle.
-    pub fn cropped(map: usize, from: usize, margin: usize, to: usize) -> Self {
-        let tap = |i: usize| {
-            let mut all = Vec::with_capacity(16);
-            for (j, v) in cubic(from, to, i) {
-                all.extend(cubic(map, from + 2 * margin, j + margin).map(|(k, w)| (k, v * w)));
-            }
-            gathered(&all)
-        };
-        Self((0..to).map(tap).collect())
-    }
 }
 
 /// The four source samples, clamped to the border, that make up sample `i` of `to`, and their weights.
@@ -103,16 +73,6 @@ fn cubic(from: usize, to: usize, i: usize) -> [(usize, f64); 4] {
     let far = |x: f64| SLOPE * (((x - 5.0) * x + 8.0) * x - 4.0);
     let weights = [far(t + 1.0), near(t), near(1.0 - t), far(2.0 - t)];
     std::array::from_fn(|k| ((low as i64 + k as i64 - 1).clamp(0, from as i64 - 1) as usize, weights[k]))
-}
-
-/// The index in `0..size` that `at` is mirrored to, the border not repeated.
-fn mirror(at: i64, size: usize) -> usize {
-    let last = size as i64 - 1;
-    if last == 0 {
-        return 0;
-    }
-    let at = at.rem_euclid(2 * last);
-    at.min(2 * last - at) as usize
 }
 
 /// Weights of single samples, at least one, as one row.
@@ -131,46 +91,18 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn mirroring_does_not_repeat_the_border() {
-        let all: Vec<_> = (-5..8).map(|at| mirror(at, 3)).collect();
-        assert_eq!(all, [1, 0, 1, 2, 1, 0, 1, 2, 1, 0, 1, 2, 1]);
-        assert!((-3..3).all(|at| mirror(at, 1) == 0));
-    }
-
-    #[test]
     fn the_same_size_changes_nothing() {
-        for (taps, shift) in
-            [(Taps::four(9, 9), 0), (Taps::mirrored(9, 0, 9), 0), (Taps::cropped(9, 9, 0, 9), 0), (Taps::cropped(13, 9, 2, 9), 2)]
-        {
-            for (i, (at, weights)) in taps.0.iter().enumerate() {
-                let unit = weights.iter().position(|&w| (w - 1.0).abs() < 1e-6);
-                assert_eq!(unit.map(|k| at + k), Some(i + shift), "{weights:?}");
-            }
-        }
-    }
-
-    /// Mean position of a tap.
-    fn place(at: usize, weights: &[f32]) -> f64 {
-        weights.iter().enumerate().map(|(k, &w)| (at + k) as f64 * f64::from(w)).sum()
-    }
-
-    #[test]
-    fn cropping_keeps_positions() {
-        // sample i of 30 over 60 pixels, in a map of 80 samples over 60 + 2 · 10 pixels
-        let taps = Taps::cropped(80, 60, 10, 30);
-        for (i, (at, weights)) in taps.0.iter().enumerate().skip(2).take(26) {
-            let want = (i as f64 + 0.5) * 2.0 - 0.5 + 10.0;
-            assert!((place(*at, weights) - want).abs() < 0.05, "{i}");
+        for (i, (at, weights)) in Taps::four(9, 9).0.iter().enumerate() {
+            let unit = weights.iter().position(|&w| (w - 1.0).abs() < 1e-6);
+            assert_eq!(unit.map(|k| at + k), Some(i), "{weights:?}");
         }
     }
 
     proptest! {
         #[test]
-        fn weights_lie_inside_and_sum_to_one(from in 1usize..300, to in 1usize..300, margin in 0usize..40, map in 1usize..200) {
+        fn weights_lie_inside_and_sum_to_one(from in 1usize..300, to in 1usize..300) {
             for (taps, size, off) in [
                 (Taps::four(from, to), from, 1e-5),
-                (Taps::mirrored(from, margin, to), from, 1e-5),
-                (Taps::cropped(map, from, margin, to), map, 1e-5),
                 (Taps::stretched(from, to, Filter::Cubic), from, 1e-5),
                 // two slivers of a thousandth are left out
                 (Taps::covered(from.max(to), to), from.max(to), 2.1e-3),

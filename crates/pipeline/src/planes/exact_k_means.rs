@@ -1,6 +1,5 @@
 //! One-dimensional k-means, exact up to the width of a bin, by dynamic programming with divide and conquer over the split point.
 
-use super::Samples;
 use super::k_means::Histogram;
 
 /// Least number of bins, and number of bins per cluster; the larger count is used. Values within a bin count as one, and means stay exact.
@@ -10,18 +9,18 @@ use super::k_means::Histogram;
 /// by at most √E.
 const BINS: (usize, usize) = (256, 16);
 
-/// Optimal clusters of a tile for every count up to a bound.
-pub struct Table {
+/// Optimal clusters of values for every count up to a bound.
+pub struct ClusterTable {
     lo: f64,
     points: Vec<(f64, f64)>,
     /// For each count from 2, and each end: start of the last run of the optimal split of the points before that end.
     from: Vec<Vec<u32>>,
 }
 
-impl Table {
-    /// Finds the optimal splits of the tile's values into 1 to `most` runs.
-    pub fn new(s: &Samples, most: usize) -> Self {
-        let Some(h) = Histogram::new(s.deltas(), s.weights(), BINS.0.max(BINS.1 * most)) else {
+impl ClusterTable {
+    /// Finds the optimal splits of weighted values into 1 to `most` runs.
+    pub fn new(values: &[f32], weights: &[f32], most: usize) -> Self {
+        let Some(h) = Histogram::new(values, weights, BINS.0.max(BINS.1 * most)) else {
             return Self { lo: 0.0, points: Vec::new(), from: Vec::new() };
         };
         let points: Vec<(f64, f64)> = h.weight.iter().zip(&h.moment).filter(|(w, _)| **w > 0.0).map(|(w, m)| (*w, m / w)).collect();
@@ -44,6 +43,16 @@ impl Table {
         centres.push(self.lo + mean(&self.points[..end]));
         centres.reverse();
         centres
+    }
+
+    /// Root-mean-square distance of the values from the centres of `n` clusters, values within a bin counted as one; NaN without values.
+    pub fn deviation(&self, n: usize) -> f64 {
+        let centres = self.centres(n);
+        let (weight, squares) = self.points.iter().fold((0.0, 0.0), |(weight, squares), (w, at)| {
+            let distance = centres.iter().map(|centre| (self.lo + at - centre).abs()).fold(f64::INFINITY, f64::min);
+            (weight + w, squares + w * distance * distance)
+        });
+        (squares / weight).sqrt()
     }
 }
 
@@ -79,7 +88,7 @@ impl Sums {
     }
 }
 
-/// Splits ascending points into up to `n` runs of least total cost; returns [`Table::from`].
+/// Splits ascending points into up to `n` runs of least total cost; returns [`ClusterTable::from`].
 fn split(points: &[(f64, f64)], n: usize) -> Vec<Vec<u32>> {
     let (sums, len) = (Sums::new(points), points.len());
     let mut cost: Vec<f64> = (0..=len).map(|b| sums.cost(0, b)).collect();

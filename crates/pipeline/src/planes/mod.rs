@@ -12,7 +12,7 @@ mod warm_start;
 
 use rayon::prelude::*;
 
-use exact_k_means::Table;
+pub use exact_k_means::ClusterTable;
 use k_means::Histogram;
 pub(crate) use k_planes::fit_points;
 pub use label_smoothing::{NEIGHBOUR_COST, smooth_labels};
@@ -121,7 +121,7 @@ fn place_tile_rounded(samples: &Samples, placement: &Placement) -> Rounded {
     let mut run = |n: usize| -> Vec<Plane> {
         let centres = match placement.method {
             Method::Linear => evenly_spaced::centres(samples, n),
-            Method::Optimal => table.get_or_insert_with(|| Table::new(samples, most)).centres(n),
+            Method::Optimal => table.get_or_insert_with(|| ClusterTable::new(samples.deltas(), samples.weights(), most)).centres(n),
             Method::Lloyd | Method::Slanted => k_means::centres(histogram.as_ref(), n),
         };
         centres.into_iter().map(Plane::fronto_parallel).collect()

@@ -32,7 +32,7 @@ const VERIFIED: u64 = 32;
 /// Bytes for measuring depth against a second picture of any size: matching runs at its own size.
 const STEREO: u64 = 80 << 20;
 /// A photo is not reduced below this number of pixels to fit into memory: about as many as a screen has.
-const MIN_PIXELS: u64 = 2_000_000;
+const MIN_PIXELS: u64 = 1_500_000;
 /// Planes per tile, without background planes, that must fit into memory with [`PlaneCount::Auto`]. More planes are placed only if they
 /// fit, too.
 const MIN_PLANES: u32 = 2;
@@ -96,7 +96,7 @@ impl Options {
     }
 
     /// The longest side, in pixels, at which making the photo fits into `limits.memory`; `None` if it fits without reduction. Photos are
-    /// not reduced below 2 megapixels, and not to make room for a tile size or number of planes other than the defaults.
+    /// not reduced below 1.5 megapixels, and not to make room for a tile size or number of planes other than the defaults.
     ///
     /// # Errors
     /// [`PhotoError::TooMuchWork`] names the limit and the need; [`DepthError`] if the depth map or second picture alone exceeds the limit.
@@ -282,17 +282,17 @@ mod tests {
     }
 
     #[test]
-    fn a_photo_too_large_for_memory_is_reduced_but_not_below_two_megapixels() {
+    fn a_photo_too_large_for_memory_is_reduced_but_not_below_the_size_of_a_screen() {
         let limits = |mib: u64| Limits { memory: mib << 20, ..Limits::default() };
         let options = Options::default();
-        for (file, mib) in [((8160, 6120), 960), ((6120, 8160), 1500), ((6000, 4000), 600), ((12_000, 4000), 2000)] {
+        for (file, mib) in [((8160, 6120), 960), ((6120, 8160), 1500), ((6000, 4000), 600), ((12_000, 4000), 2000), ((1633, 1225), 240)] {
             let limits = limits(mib);
             let side = options.side_by_memory(&Sizes::of_photo(file), &limits).unwrap().expect("it does not fit as it is");
             let at = |side| Options { max_size: Some(side), ..options.clone() }.memory(&Sizes::of_photo(file));
             assert!(at(side) <= limits.memory && at(side + 8) > limits.memory, "{file:?}: {side}");
             assert_eq!(options.fitted(&Sizes::of_photo(file), &limits).unwrap().max_size, Some(side));
         }
-        // decoding the first exceeds the limit; the second fits only below 2 megapixels
+        // decoding the first exceeds the limit; the second fits only below 1.5 megapixels
         for (file, mib) in [((8160, 6120), 256), ((3000, 2000), 200)] {
             let refused = options.side_by_memory(&Sizes::of_photo(file), &limits(mib)).unwrap_err().to_string();
             assert!(refused.contains(&options.memory(&Sizes::of_photo(file)).to_string()), "{refused}");

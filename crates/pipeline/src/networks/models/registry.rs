@@ -39,36 +39,30 @@ pub struct Weights {
 /// The published network to fetch if there is none: of the kinds whose maps were inspected here, the smallest download of the best.
 pub const BETTER: &str = "depth-anything-v2-small-fp16";
 
-/// Adapters from best to worst: papers report smaller errors on unseen data for each than for those after it. An adapter that stands for
-/// no published network has no rank. MoGe-2 comes first because it reports sharper edges, along which planes are cut. Depth Anything 3
-/// reports smaller errors on distances than 2, at fewer pixels. `ZipDepth` reports smaller errors than small networks, one of which is
-/// `MiDaS`.
-const RANKS: [&str; 13] = [
+/// Adapters from best to worst: papers report smaller errors on unseen data for each than for those after it. MoGe-2 comes first because it
+/// reports sharper edges, along which planes are cut. Depth Anything 3 reports smaller errors on distances than 2, at fewer pixels.
+const RANKS: [&str; 11] = [
     "moge-2",
     "depth-anything-3",
     "depth-anything-v2",
     "depth-anything-v2-metric",
-    "zoedepth",
     "dpt-large",
     "dpt-hybrid",
     "midas-v2.1",
     "midas-v2.1-hub",
-    "zipdepth",
     "midas-v2.1-small",
     "midas-v2.1-small-hub",
     "tmpi",
 ];
 
 /// Adapters of networks that are available only as files, and the licences of their weights.
-pub const BY_FILE: [(&str, &str); 8] = [
+pub const BY_FILE: [(&str, &str); 6] = [
     ("midas-v2.1", "MIT, Intel ISL"),
     ("midas-v2.1-hub", "MIT, Intel ISL"),
     ("midas-v2.1-small-hub", "MIT, Intel ISL"),
     ("dpt-large", "MIT, Intel ISL"),
     ("dpt-hybrid", "MIT, Intel ISL"),
-    ("zoedepth", "MIT, Intel ISL"),
     ("depth-anything-v2-metric", "small: Apache-2.0, larger ones: CC BY-NC 4.0, the Depth Anything V2 authors"),
-    ("zipdepth", "MIT, the ZipDepth authors"),
 ];
 
 /// All networks that `tmpi models get` can fetch.
@@ -222,7 +216,7 @@ mod tests {
     #[test]
     fn every_adapter_has_a_rank() {
         for a in &crate::depth::ADAPTERS {
-            assert_eq!(RANKS.iter().filter(|r| **r == a.name).count(), usize::from(a.name != "log-depth"), "{}", a.name);
+            assert_eq!(RANKS.iter().filter(|r| **r == a.name).count(), 1, "{}", a.name);
         }
     }
 
@@ -243,12 +237,12 @@ mod tests {
         }
         assert!(better_than("depth-anything-v2-small-fp16").contains(&"depth-anything-v2-metric"));
         assert!(!better_than("depth-anything-v2-metric-indoor").contains(&"depth-anything-v2"));
-        assert_eq!((better_than("tmpi"), better_than("log-depth")), (&[][..], &[][..]));
+        assert_eq!((better_than("tmpi"), better_than("of-my-own")), (&[][..], &[][..]));
     }
 
     #[test]
     fn the_better_network_is_worth_fetching_unless_there_is_one_as_good() {
-        for worse in ["tmpi", "midas-v2.1-small", "dpt-large", "zoedepth", "depth-anything-v2-metric-small"] {
+        for worse in ["tmpi", "midas-v2.1-small", "dpt-large", "depth-anything-v2-metric-small"] {
             assert_eq!(recommended_download(worse).map(|p| p.name), Some(BETTER), "{worse}");
         }
         for as_good in [BETTER, "depth-anything-v2-large", "depth-anything-3-small", "moge-2-small", "of-my-own"] {
