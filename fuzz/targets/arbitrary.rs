@@ -104,8 +104,9 @@ pub fn geometry(script: &mut Script, most_planes: u32) -> Geometry {
     Geometry {
         grid,
         intrinsics: Intrinsics::centred(width, height, 0.75 * f64::from(width)),
-        view_box: ViewBox::default(),
+        view_box: ViewBox::cube(0.03),
         tiles,
         matted: false,
+        short_reach: false,
     }
 }

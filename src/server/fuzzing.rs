@@ -34,7 +34,7 @@ pub fn view(query: &str) {
     let scene = Scene {
         grid: Grid::new(width, height, 64),
         intrinsics: Intrinsics::centred(width, height, 30.0),
-        view_box: ViewBox::default(),
+        view_box: ViewBox::cube(0.03),
         photo: Photo { width, height, rgb: vec![[0; 3]; 2400] },
         layers: Vec::new(),
         texels: Texels::default(),

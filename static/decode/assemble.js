@@ -14,18 +14,18 @@ import { tileCounts } from './grid.js';
 
 /** @typedef {Pick<Band, 'decode' | 'deep' | 'strips'>} Helper a band in this worker or another one */
 
-/** Rows of pixels above and below a tile that its layers depend on: crates/core's `MAX_REACH`. */
-const REACH = 96;
+/** Side of the blocks of pixels of which a band's photo must have all: crates/core's `BLOCK`. */
+const BLOCK = 32;
 
 /**
- * @param {Head} head
+ * @param {Pick<Head, 'scene' | 'reach'>} head
  * @param {{bytes: Uint8Array, photo: Picture, hidden: Picture | null}} input
  * @param {Helper[]} bands
  * @param {number} [side] of the graphics device's largest texture
  * @returns {Promise<{scene: Omit<Scene, 'decodeMs'>, transfer: ArrayBuffer[]}>} `transfer`: the scene's buffers, to be transferred with it
  */
-export async function assembled({ scene }, input, bands, side) {
-  const jobs = cut(scene, input, bands.length);
+export async function assembled({ scene, reach }, input, bands, side) {
+  const jobs = cut(scene, reach, input, bands.length);
   // `together` starts the other workers first, because the first band is decoded here
   const tables = await together(bands.slice(0, jobs.length), (band, i) => band.decode(jobs[i]));
   const layers = joined(tables);
@@ -90,11 +90,12 @@ async function together(bands, call) {
 /**
  * Splits the rows of tiles evenly into bands.
  * @param {SceneHead} scene
+ * @param {number} reach rows of pixels above and below a tile that its layers depend on
  * @param {{bytes: Uint8Array, photo: Picture, hidden: Picture | null}} input
  * @param {number} count most bands
  * @returns {BandJob[]}
  */
-function cut(scene, { bytes, photo, hidden }, count) {
+function cut(scene, reach, { bytes, photo, hidden }, count) {
   const { columns, tiles } = tileCounts(scene);
   const rows = tiles / columns;
   const bands = Math.min(count, rows);
@@ -103,8 +104,8 @@ function cut(scene, { bytes, photo, hidden }, count) {
     const [first, end] = [Math.floor((i * rows) / bands), Math.floor(((i + 1) * rows) / bands)];
     const [from, to] = [first * scene.tileStride, (end - 1) * scene.tileStride + scene.tileSize];
     // texels that are mirrored beyond the upper or lower border take the colours at that border
-    const top = from < margin ? 0 : Math.max(from - REACH, 0);
-    const bottom = to > photo.height - margin ? photo.height : Math.min(to + REACH, photo.height);
+    const top = from < margin ? 0 : Math.max(Math.floor((from - reach) / BLOCK) * BLOCK, 0);
+    const bottom = to > photo.height - margin ? photo.height : Math.min(Math.ceil((to + reach) / BLOCK) * BLOCK, photo.height);
     const stride = photo.width * 4;
     // the band in this worker shares the picture; the others get copies to transfer
     const data = i === 0 ? photo.data.subarray(0, bottom * stride) : photo.data.slice(top * stride, bottom * stride);

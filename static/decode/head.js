@@ -22,14 +22,18 @@ const ZSTD = 1;
  * @type {Record<number, string | undefined>}
  */
 const PICTURES = { 2: 'image/jpeg', 3: 'image/png', 4: 'image/webp' };
-/** Field number of the sections in the index. */
-const SECTIONS = 16;
+/** Field numbers of the sections and of `whole_reach` in the index. */
+const [SECTIONS, WHOLE_REACH] = [16, 18];
+/** Limits of the reach, and the pixels added to it (crates/core/src/layers/reach.rs). */
+const [SHORT, FARTHEST, MARGIN] = [96, 1664, 1.5];
 
 /** @typedef {{start: number, end: number, type: string}} PictureFile first byte, end and media type of a picture file in a container */
 /**
- * The scene's head, total count of bytes, picture files, whether a section must be decompressed (unpack.js), and whether tiles can be
- * decoded in bands, which is not possible if a section covers all texels in one stream.
- * @typedef {{scene: SceneHead, bytes: number, photo: PictureFile, hidden: PictureFile | null, packed: boolean, bands: boolean}} Head
+ * The scene's head, how many rows of pixels above and below a tile its layers depend on, total count of bytes, picture files, whether a
+ * section must be decompressed (unpack.js), and whether tiles can be decoded in bands, which is not possible if a section covers all texels in
+ * one stream.
+ * @typedef {{scene: SceneHead, reach: number, bytes: number, photo: PictureFile, hidden: PictureFile | null, packed: boolean,
+ *   bands: boolean}} Head
  */
 
 /**
@@ -74,12 +78,24 @@ export function readHead(bytes) {
   if (!photo) return broken('there is no photo section');
   return {
     scene: { width, height, tileSize, tileStride, intrinsics: { fx, fy, cx, cy }, viewBox: { x, y, z } },
+    reach: one(WHOLE_REACH) ? reach(height, { fy, cy }, { y, z }) : SHORT,
     bytes: sections.reduce((end, section) => Math.max(end, section.end), start),
     photo,
     hidden,
     packed: sections.some(({ kind, codec }) => codec === ZSTD && (kind === PLANES || kind === ALPHA)),
     bands: !sections.some(({ kind }) => kind === ALPHA || kind === HIDDEN),
   };
+}
+
+/**
+ * How many rows of pixels a camera of the view box can look past an edge.
+ * @param {number} height
+ * @param {{fy: number, cy: number}} intrinsics
+ * @param {{y: number, z: number}} viewBox
+ */
+function reach(height, { fy, cy }, { y, z }) {
+  const farthest = fy * y + Math.max(Math.abs(cy), Math.abs(height - cy)) * Math.min(z, 1);
+  return Math.min(Math.max(Math.ceil(farthest + MARGIN), SHORT), FARTHEST);
 }
 
 /**

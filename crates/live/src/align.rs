@@ -18,6 +18,10 @@ const MIN_STEADY: f64 = 0.05;
 const RETURN: f64 = 0.02;
 /// Range of plausible scales.
 const SCALES: (f64, f64) = (0.25, 4.0);
+/// Least variance of a map with relief: values that differ by more than rounding.
+const MIN_VARIANCE: f64 = 1e-9;
+/// Least correlation of the two maps, squared, at which the ratio of their spreads is a scale. That of noise is far lower.
+const MIN_CORRELATION: f64 = 0.5;
 
 /// `δ = scale · δ' + shift`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,12 +49,18 @@ impl Affine {
 ///
 /// This is a robust reduced-major-axis regression: the scale is the ratio of the spreads. Least squares would flatten each frame a little
 /// more than the last, because of the noise in `new`.
+///
+/// The scale is 1, and only the shift is fitted, where the maps do not determine one: if one of them has a single value, if near and far have
+/// changed places, or if the pixels that agree do not rise and fall together. The last is so if almost all pixels of a map with two values
+/// have one of them: what spread remains is noise, and its ratio says nothing. Pixels that are not finite in both maps do not count; without
+/// any others, the result is [`Affine::IDENTITY`].
 pub fn fit(new: &DisparityMap, last: &DisparityMap, steady: &[bool]) -> Affine {
     let known = steady.iter().filter(|s| **s).count();
     let enough = known as f64 >= MIN_STEADY * steady.len().max(1) as f64;
     let step = if enough { known } else { steady.len() }.div_ceil(MAX_SAMPLES).max(1);
     let all = new.delta.iter().zip(&last.delta).zip(steady).filter(|(_, s)| !enough || **s);
-    let pairs: Vec<(f64, f64)> = all.step_by(step).map(|((a, b), _)| (f64::from(*a), f64::from(*b))).collect();
+    let pairs = all.step_by(step).map(|((a, b), _)| (f64::from(*a), f64::from(*b)));
+    let pairs: Vec<(f64, f64)> = pairs.filter(|(a, b)| a.is_finite() && b.is_finite()).collect();
     let fitted = regress(&pairs);
     if enough {
         return fitted;
@@ -99,31 +109,68 @@ pub fn join_borders(new: &mut DisparityMap, last: &DisparityMap, stale: &[bool],
     }
 }
 
-fn regress(pairs: &[(f64, f64)]) -> Affine {
-    let mut result = Affine::IDENTITY;
-    let mut weights = vec![1.0; pairs.len()];
-    for _ in 0..MAX_ROUNDS {
+/// Weighted means and variances of pairs, and their covariance.
+struct Moments {
+    x: f64,
+    y: f64,
+    xx: f64,
+    yy: f64,
+    xy: f64,
+}
+
+impl Moments {
+    /// `None` without weight.
+    fn of(pairs: &[(f64, f64)], weights: &[f64]) -> Option<Self> {
         let total: f64 = weights.iter().sum();
         if total <= 0.0 {
-            return result;
+            return None;
         }
-        let mean = |f: fn(&(f64, f64)) -> f64| pairs.iter().zip(&weights).map(|(p, w)| w * f(p)).sum::<f64>() / total;
-        let (x, y) = (mean(|p| p.0), mean(|p| p.1));
-        let (mut xx, mut yy, mut xy) = (0.0, 0.0, 0.0);
-        for ((a, b), w) in pairs.iter().zip(&weights) {
-            xx += w * (a - x) * (a - x);
-            yy += w * (b - y) * (b - y);
-            xy += w * (a - x) * (b - y);
+        let all = || pairs.iter().zip(weights);
+        let (mut x, mut y) = (0.0, 0.0);
+        for ((a, b), w) in all() {
+            x += w * a / total;
+            y += w * b / total;
         }
-        // without relief, or with near and far swapped, only the shift is determined
-        let has_relief = xx > 1e-9 * total && yy > 1e-9 * total && xy > 0.0;
-        let scale = if has_relief { (yy / xx).sqrt().clamp(SCALES.0, SCALES.1) } else { 1.0 };
-        let next = Affine { scale, shift: y - scale * x };
+        let mut out = Self { x, y, xx: 0.0, yy: 0.0, xy: 0.0 };
+        for ((a, b), w) in all() {
+            let (a, b, w) = (a - x, b - y, w / total);
+            out.xx += w * a * a;
+            out.yy += w * b * b;
+            out.xy += w * a * b;
+        }
+        Some(out)
+    }
+
+    /// Ratio of the spreads, within [`SCALES`]; 1 without relief, or with near and far swapped.
+    fn scale(&self) -> f64 {
+        let has_relief = self.xx > MIN_VARIANCE && self.yy > MIN_VARIANCE && self.xy > 0.0;
+        if has_relief { (self.yy / self.xx).sqrt().clamp(SCALES.0, SCALES.1) } else { 1.0 }
+    }
+
+    /// The map with this scale.
+    fn at_scale(&self, scale: f64) -> Affine {
+        Affine { scale, shift: self.y - scale * self.x }
+    }
+
+    /// True if the two rise and fall together.
+    fn is_correlated(&self) -> bool {
+        self.xy > 0.0 && self.xy * self.xy >= MIN_CORRELATION * self.xx * self.yy
+    }
+}
+
+fn regress(pairs: &[(f64, f64)]) -> Affine {
+    let (mut result, mut last) = (Affine::IDENTITY, Affine::IDENTITY);
+    let mut weights = vec![1.0; pairs.len()];
+    for _ in 0..MAX_ROUNDS {
+        let Some(moments) = Moments::of(pairs, &weights) else { return result };
+        let next = moments.at_scale(moments.scale());
         let residuals: Vec<f64> = pairs.iter().map(|(a, b)| (next.scale * a + next.shift - b).abs()).collect();
         let most = HUBER * median(residuals.clone()).max(1e-4);
         weights = residuals.iter().map(|r| if *r <= most { 1.0 } else { (most / r).powi(POWER) }).collect();
-        let same = (next.scale - result.scale).abs() < 1e-5 && (next.shift - result.shift).abs() < 1e-5;
-        result = next;
+        let same = (next.scale - last.scale).abs() < 1e-5 && (next.shift - last.shift).abs() < 1e-5;
+        last = next;
+        // outliers of the first rounds hide what the rest has in common, so only the last weights tell
+        result = if moments.is_correlated() { next } else { moments.at_scale(1.0) };
         if same {
             break;
         }
@@ -230,6 +277,67 @@ mod tests {
             join_borders(&mut same, &of(&last), &stale, across);
             assert_eq!(same.delta, of(&before).delta);
         }
+    }
+
+    /// A map with two values, of which every `share`th pixel has the second.
+    fn two_values(first: f32, second: f32, share: usize) -> DisparityMap {
+        let delta = (0..3600).map(|i| if i % share == 0 { second } else { first }).collect();
+        DisparityMap { width: 60, height: 60, delta }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Also if few pixels have the second value, and some have it in one of the maps only. With so few, noise must not become a scale.
+        #[test]
+        fn maps_with_two_values_have_their_scale_or_none(
+            scale in 0.5f32..2.0, shift in -0.1f32..0.1, share in 2usize..40, lost in 5u32..50, amount in [0.0f32..0.01, 0.0f32..0.01],
+        ) {
+            let exact = two_values(0.2, 0.6, share);
+            let mut last = noisy(&exact, amount[0], 3);
+            for (i, d) in (0u32..).zip(&mut last.delta) {
+                let lost = noise(i, 9) < 1.0 / lost as f32 && exact.delta[i as usize] > 0.5;
+                *d = scale * if lost { 0.2 } else { *d } + shift;
+            }
+            let result = fit(&noisy(&exact, amount[1], 7), &last, &[true; 3600]);
+            let is_known = (result.scale / f64::from(scale) - 1.0).abs() < 0.1 || (result.scale - 1.0).abs() < 1e-12;
+            prop_assert!(is_known && result.shift.is_finite(), "{result:?}");
+        }
+
+        /// The scale and the shift are finite and plausible for any maps, with NaN and infinity.
+        #[test]
+        fn any_maps_have_a_plausible_fit(
+            new in prop::collection::vec(prop_oneof![6 => 0.0f32..1.0, 1 => any::<f32>(), 1 => Just(f32::NAN), 1 => Just(f32::INFINITY)], 64),
+            last in prop::collection::vec(prop_oneof![6 => 0.0f32..1.0, 1 => any::<f32>(), 1 => Just(f32::NAN), 1 => Just(f32::INFINITY)], 64),
+            steady in prop::collection::vec(any::<bool>(), 64),
+        ) {
+            let of = |delta: &Vec<f32>| DisparityMap { width: 8, height: 8, delta: delta.clone() };
+            let result = fit(&of(&new), &of(&last), &steady);
+            prop_assert!((SCALES.0..=SCALES.1).contains(&result.scale) && result.shift.is_finite(), "{result:?}");
+        }
+    }
+
+    #[test]
+    fn noise_is_not_a_scale() {
+        let flat = two_values(0.4, 0.4, 2);
+        for seed in 0..32 {
+            // damped in the last map, as the room's are
+            let result = fit(&noisy(&flat, 0.02, seed), &noisy(&flat, 0.004, seed + 100), &[true; 3600]);
+            assert!((result.scale - 1.0).abs() < 1e-12 && result.shift.abs() < 2e-3, "{seed}: {result:?}");
+        }
+    }
+
+    #[test]
+    fn pixels_that_are_not_finite_do_not_count() {
+        let last = relief(60);
+        let mut new = DisparityMap { delta: last.delta.iter().map(|d| 1.25 * d - 0.1).collect(), ..last };
+        for (i, bad) in [(7, f32::NAN), (100, f32::INFINITY), (3000, f32::NEG_INFINITY)] {
+            new.delta[i] = bad;
+        }
+        let result = fit(&new, &last, &[true; 3600]);
+        assert!((result.scale - 0.8).abs() < 1e-5 && (result.shift - 0.08).abs() < 1e-5, "{result:?}");
+        let none = DisparityMap { delta: vec![f32::NAN; 3600], ..last };
+        assert_eq!(fit(&none, &last, &[true; 3600]), Affine::IDENTITY);
     }
 
     #[test]

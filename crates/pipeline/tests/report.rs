@@ -317,6 +317,8 @@ fn figures(s: &Subject) -> Figures {
         reported.planes.rounding_px
     );
 
+    assert_eq!(reported.unsearched_tiles, 0, "the view boxes are small");
+
     let scene = Arc::new(container::decode(&full.container).unwrap());
     all.extend(counts(&full.report, &geometry, &scene));
     all.push(("codec_psnr", reported.codec_psnr, psnr_of(&scene.photo.rgb, &small.rgb), 1e-9));

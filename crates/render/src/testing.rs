@@ -15,7 +15,7 @@ pub(super) fn flat(width: u32, height: u32, delta: f64) -> Scene {
     Scene {
         grid,
         intrinsics: Intrinsics::centred(width, height, f64::from(width)),
-        view_box: ViewBox::default(),
+        view_box: ViewBox::cube(0.03),
         photo,
         layers: vec![layer(grid.rect(0))],
         texels,

@@ -71,7 +71,7 @@ export async function assembledPlaneScene(test, planes, size) {
   const mocked = test.mock.method(Decoder, 'of', async () => fakeDecoder(planes, given));
   const photo = { width, height, data: new Uint8ClampedArray(width * height * 4) };
   const { alpha, layers, ...head } = given;
-  const { scene } = await assembled({ scene: head }, { bytes: new Uint8Array(), photo, hidden: null }, [new Band(null)]);
+  const { scene } = await assembled({ scene: head, reach: 0 }, { bytes: new Uint8Array(), photo, hidden: null }, [new Band(null)]);
   mocked.mock.restore();
   return { ...scene, decodeMs: 0 };
 }

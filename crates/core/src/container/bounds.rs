@@ -10,8 +10,9 @@ pub const PIXELS: u64 = super::MAX_PIXELS;
 pub const SIDE: u32 = super::MAX_SIDE;
 /// Maximum number of planes in all tiles.
 pub const PLANES: usize = 4_000_000;
-/// Maximum number of pixels read to derive the texels. A 50-megapixel photo with four planes per tile reads about 5e9.
-const WORK: u64 = 8_000_000_000;
+/// Maximum number of pixels and blocks read to derive the texels. A 50-megapixel photo with four planes per tile reads about 6e9, of which
+/// blocks are a sixth.
+const WORK: u64 = 9_400_000_000;
 /// The same per pixel of the photo. Tiles of 8 pixels, as in the smallest level, with 20 planes each read 17 000.
 const WORK_PER_PIXEL: u64 = 20_000;
 /// Number of pixels that even the smallest photo may read.
@@ -21,7 +22,7 @@ pub const INDEX: usize = 1 << 20;
 /// Maximum number of sections.
 pub const SECTIONS: usize = 64;
 
-/// Maximum number of pixels read to derive the texels of a grid.
+/// Maximum number of pixels and blocks read to derive the texels of a grid.
 fn max_work(grid: &Grid) -> u64 {
     WORK.min(MIN_WORK + u64::from(grid.width) * u64::from(grid.height) * WORK_PER_PIXEL)
 }
@@ -118,7 +119,7 @@ mod tests {
     fn the_largest_photo_is_accepted_and_one_pixel_more_is_not() {
         let at = |width, height, size, stride| {
             let grid = Grid { width, height, size, stride };
-            frame(&grid, &Intrinsics::centred(width.max(1), height.max(1), 50.0), &ViewBox::default()).is_ok()
+            frame(&grid, &Intrinsics::centred(width.max(1), height.max(1), 50.0), &ViewBox::cube(0.03)).is_ok()
         };
         let (wide, high) = (10_000, (PIXELS / 10_000) as u32);
         assert_eq!(u64::from(wide) * u64::from(high), PIXELS);

@@ -283,7 +283,7 @@ pub(super) fn layer_geometry(
             t.labels = own.to_vec();
         }
     }
-    Ok(Geometry { grid, intrinsics, view_box, tiles, matted: index.matted })
+    Ok(Geometry { grid, intrinsics, view_box, tiles, matted: index.matted, short_reach: !index.whole_reach })
 }
 
 /// Applies the section of refined alphas to the soft texels, if there is one.

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::schema::Kind;
 use super::{ContainerError, PhotoFormat, decode};
-use crate::{Geometry, Grid, Layer, Photo, Texels};
+use crate::{Layer, Photo, Texels, layers};
 
 /// Some rows of the photo.
 #[derive(Clone, Debug, Default)]
@@ -29,9 +29,18 @@ pub struct TileLayers {
     pub texels: Texels,
 }
 
-/// Rows of pixels that determine the layers in some rows of tiles.
-pub fn pixel_rows(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
-    Geometry::pixel_rows(grid, rows)
+/// Rows of pixels that determine the layers in some rows of tiles of a container, at least one.
+///
+/// # Errors
+/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
+pub fn pixel_rows(bytes: &[u8], rows: &Range<u32>) -> Result<Range<u32>, ContainerError> {
+    let (index, _) = decode::split(bytes)?;
+    let (grid, intrinsics, view_box) = decode::cameras(&index)?;
+    if rows.is_empty() || rows.end > grid.rows() {
+        return Err(ContainerError::broken("rows of tiles out of range"));
+    }
+    let (_, reach) = layers::farthest(&grid, &intrinsics, &view_box, !index.whole_reach);
+    Ok(layers::pixel_rows(&grid, reach, rows))
 }
 
 /// Decodes some rows of tiles, at least one. `photo` must cover their [`pixel_rows`]; `hidden` is the picture of carried hidden colours, if
@@ -42,10 +51,7 @@ pub fn pixel_rows(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
 pub fn decode_rows(bytes: &[u8], rows: &Range<u32>, photo: &PhotoRows, hidden: Option<&Photo>) -> Result<TileLayers, ContainerError> {
     let (index, body) = decode::split(bytes)?;
     let (grid, intrinsics, view_box) = decode::cameras(&index)?;
-    if rows.is_empty() || rows.end > grid.rows() {
-        return Err(ContainerError::broken("rows of tiles out of range"));
-    }
-    let pixel_rows = pixel_rows(&grid, rows);
+    let pixel_rows = pixel_rows(bytes, rows)?;
     // all rows of tiles that overlap these rows of pixels
     let near = pixel_rows.start.saturating_sub(grid.size) / grid.stride..pixel_rows.end.div_ceil(grid.stride);
     let geometry = decode::layer_geometry(&index, body, grid, (intrinsics, view_box), &near)?;

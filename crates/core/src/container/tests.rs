@@ -334,7 +334,7 @@ fn rows_of_a_matted_container_match_the_whole() {
         let whole = decode(&bytes).unwrap();
         let grid = whole.grid;
         for row in 0..grid.rows() {
-            let pixel_rows = pixel_rows(&grid, &(row..row + 1));
+            let pixel_rows = pixel_rows(&bytes, &(row..row + 1)).unwrap();
             let own = pixel_rows.start as usize * 150..pixel_rows.end as usize * 150;
             let photo = PhotoRows { width: 150, height: 300, top: pixel_rows.start, rgb: whole.photo.rgb[own].to_vec() };
             let part = decode_rows(&bytes, &(row..row + 1), &photo, None).unwrap();

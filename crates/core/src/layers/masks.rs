@@ -10,9 +10,11 @@ use super::visibility_kernels::{self, Columns};
 use crate::parallel;
 use crate::scene::{Class, Grid, Intrinsics, Plane, Rect, ViewBox};
 
-/// A layer whose edge lies in front of its neighbour by at most this many pixels of parallax over [`ViewBox::default`] is one surface with
-/// it, however large the scene's view box is.
+/// A layer whose edge lies in front of its neighbour by at most this many pixels of parallax over [`SEAM_BOX`] is one surface with it,
+/// however large the scene's view box is.
 const SEAM: f64 = 1.0;
+/// The view box over which [`SEAM`] counts. All containers are read with it.
+const SEAM_BOX: ViewBox = ViewBox::cube(0.03);
 
 /// The planes of one tile, and the label of each pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -57,6 +59,8 @@ pub struct Geometry {
     pub tiles: Vec<Tile>,
     /// True if pixels beside depth borders are decomposed into foreground and background.
     pub matted: bool,
+    /// True in containers until minor version 4: pruning searches at most 96 pixels, and takes no account of perspective.
+    pub short_reach: bool,
 }
 
 /// Classes and alphas of one layer.
@@ -109,6 +113,14 @@ impl TileFrame {
         us.extend((x..x + count).map(|x| (f64::from(x) + 0.5 - self.centre.0) / self.half));
     }
 
+    /// The least δ of a plane at the pixels of a rectangle, which has at least one.
+    pub(super) fn least(&self, plane: &Plane, r: Rect) -> f64 {
+        let (right, lower) = (r.x + r.w - 1, r.y + r.h - 1);
+        // an affine plane is farthest at a corner
+        let corners = [(r.x, r.y), (right, r.y), (r.x, lower), (right, lower)].map(|(x, y)| f64::from(self.disparity(plane, x, y)));
+        corners.into_iter().fold(f64::INFINITY, f64::min)
+    }
+
     /// δ of a plane at the centre of pixel `(x, y)`.
     pub fn disparity(&self, plane: &Plane, x: u32, y: u32) -> f32 {
         plane.disparity((f64::from(x) + 0.5 - self.centre.0) / self.half, (f64::from(y) + 0.5 - self.centre.1) / self.half) as f32
@@ -141,8 +153,8 @@ impl Geometry {
         self.masks_of(0..self.tiles.len() as u32, &self.surface(), all)
     }
 
-    /// Masks of some tiles. The surface must cover at least their [`Geometry::pixel_rows`]. With `all`, keeps hidden texels that no camera can
-    /// see.
+    /// Masks of some tiles. The surface must cover at least their [`pixel_rows`](super::pixel_rows). With `all`, keeps hidden texels that no
+    /// camera can see.
     pub(crate) fn masks_of(&self, tiles: Range<u32>, surface: &Surface, all: bool) -> Vec<LayerMasks> {
         let scratch = || Scratch { all, ..Scratch::default() };
         parallel::map_init(tiles.len(), scratch, |s, i| self.masks_of_tile(tiles.start + i as u32, surface, s))
@@ -182,7 +194,9 @@ impl Geometry {
             let (x, y) = view_box.parallax(&self.intrinsics, r);
             x.max(y)
         };
-        let (parallax, usual) = (parallax(self.view_box), parallax(ViewBox::default()));
+        let (parallax, usual) = (parallax(self.view_box), parallax(SEAM_BOX));
+        // found only if a layer needs it
+        let mut nearest = None;
         let mut out = LayerMasks::default();
         let labelled = tile.planes.iter().enumerate().map(|(j, q)| (Some(j as u8), *q));
         for (label, plane) in labelled.chain(tile.background.map(|q| (None, q))) {
@@ -191,7 +205,8 @@ impl Geometry {
             }
             let (behind, depth) = visibility_kernels::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
             if behind > 0 && !s.all {
-                let layer = Behind { r, place, plane: &plane, depth };
+                let near = *nearest.get_or_insert_with(|| if self.short_reach { 0.0 } else { self.nearest_around(index, surface) });
+                let layer = Behind { r, place, plane: &plane, depth, near };
                 out.never_seen += behind - self.keep_seen(&layer, surface, &mut s.hidden, &mut s.pruning);
             }
             let Some(layer) = mask(r, place, tile, label, plane, [parallax, usual], s) else { continue };
@@ -252,7 +267,7 @@ struct SoftEdge<'a> {
     place: TileFrame,
     tile: &'a Tile,
     label: u8,
-    /// Parallax, in pixels, of one unit of disparity over the scene's view box, and over the default one.
+    /// Parallax, in pixels, of one unit of disparity over the scene's view box, and over [`SEAM_BOX`].
     parallax: [f64; 2],
 }
 
@@ -334,6 +349,7 @@ mod tests {
                 view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
                 tiles: vec![Tile { planes, labels, background: None }],
                 matted: false,
+                short_reach: false,
             };
             let shapes = b.masks().remove(0);
             let row = |s: &LayerMask| {

@@ -1,6 +1,7 @@
 //! Layers from planes and labels: the texels of each layer ([`Geometry::masks`]), and the colours of hidden texels ([`Inpainter`]). Writer
 //! and readers run the same steps on the same values, so a container need not carry the results.
 
+mod coarse_surface;
 mod dilation;
 mod inpaint;
 mod inpaint_kernels;
@@ -8,6 +9,7 @@ mod masks;
 mod matting;
 mod occluders;
 mod prune;
+mod reach;
 mod seen_background;
 mod surface;
 mod texture;
@@ -20,7 +22,8 @@ pub use masks::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown};
 #[cfg(feature = "write")]
 pub(crate) use matting::within;
 pub(crate) use matting::{Rows, matte};
-pub use prune::work_of;
+pub use reach::work_of;
+pub(crate) use reach::{farthest, pixel_rows};
 pub use seen_background::SeenBackground;
 pub(crate) use seen_background::{MAX_FRAMES, STEADY};
 pub use surface::Surface;

@@ -1,31 +1,17 @@
 //! Pruning: keeps only the hidden texels that a camera in the view box can see.
 //!
-//! A camera looks past an edge by the parallax between the two sides of the edge, in pixels. A hidden texel can therefore be seen only if,
-//! within that distance, there is a pixel where the visible surface does not cover the layer's plane. The test is a box dilation of such
-//! open pixels.
+//! A camera looks past an edge [so far](super::reach). A hidden texel can therefore be seen only if, within that distance, there is a pixel
+//! where the visible surface does not cover the layer's plane. The test is a box dilation of such open pixels; far searches look for open
+//! [blocks](super::coarse_surface).
 
-use std::ops::Range;
-
+use super::coarse_surface::BlockSearch;
 use super::dilation::{Dilation, dilate};
+use super::reach::{FINE_REACH, pixels};
 use super::{Geometry, Surface, TileFrame, grown, visibility_kernels};
-use crate::scene::{Grid, Intrinsics, Plane, Rect, ViewBox};
+use crate::scene::{Plane, Rect};
 
-/// Maximum search distance for an edge that uncovers a hidden texel, in pixels.
-const MAX_REACH: f64 = 96.0;
-/// Pixels added to the parallax, for the bilinear footprint and rounding.
-const MARGIN: f64 = 1.5;
 /// A visible surface at most this far in front of a layer, in δ, does not cover it.
 const UNOCCLUDED: f64 = 0.004;
-
-impl ViewBox {
-    /// Parallax in pixels (horizontal, vertical) of one unit of disparity within `rect`, between the reference view and the farthest camera
-    /// of the box.
-    pub fn parallax(&self, k: &Intrinsics, rect: Rect) -> (f64, f64) {
-        // forward motion moves a pixel in proportion to its distance from the principal point
-        let reach = |from: u32, len: u32, c: f64| (f64::from(from) - c).abs().max((f64::from(from + len) - c).abs());
-        (k.fx * self.x + reach(rect.x, rect.w, k.cx) * self.z, k.fy * self.y + reach(rect.y, rect.h, k.cy) * self.z)
-    }
-}
 
 /// A layer of a tile with texels behind the visible surface.
 pub(super) struct Behind<'a> {
@@ -35,6 +21,8 @@ pub(super) struct Behind<'a> {
     pub plane: &'a Plane,
     /// Maximum distance of its texels behind the surface, in δ.
     pub depth: f64,
+    /// [`Geometry::nearest_around`] the tile; unused if the reach is short.
+    pub near: f64,
 }
 
 /// Scratch memory, reused from layer to layer.
@@ -46,63 +34,36 @@ pub(super) struct Pruning {
     open: Vec<u8>,
     /// Dilation of the open pixels within the tile.
     reach: Dilation,
-}
-
-/// Maximum number of pixels that [`Geometry::masks`] reads for a grid whose tiles have these numbers of `planes`. Readers use it to bound
-/// their work.
-pub fn work_of(grid: &Grid, planes: impl Iterator<Item = u64>) -> u64 {
-    let reach = MAX_REACH as u32;
-    let window = |i: u32| grown(grid.rect(i), reach, reach, grid).area() as u64;
-    (0..grid.tiles()).zip(planes).map(|(i, n)| window(i) * (n + 1)).sum()
+    /// Sums of open blocks.
+    sums: Vec<u32>,
 }
 
 impl Geometry {
-    /// Rows of pixels that determine the texels, and their colours, in some rows of tiles.
-    pub(crate) fn pixel_rows(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
-        let last = grid.rect((rows.end - 1) * grid.columns());
-        let reach = MAX_REACH as u32;
-        (rows.start * grid.stride).saturating_sub(reach)..(last.y + last.h + reach).min(grid.height)
-    }
-
-    /// Pixels whose surface determines the masks of a tile.
-    pub(crate) fn window(&self, index: u32) -> Rect {
-        let (tile, r, place) = (&self.tiles[index as usize], self.grid.rect(index), TileFrame::of(&self.grid, index));
-        let (right, lower) = (r.x + r.w - 1, r.y + r.h - 1);
-        let corners = [(r.x, r.y), (right, r.y), (r.x, lower), (right, lower)];
-        let all = tile.planes.iter().chain(&tile.background).flat_map(|p| corners.map(|(x, y)| f64::from(place.disparity(p, x, y))));
-        let (least, most) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), d| (l.min(d), m.max(d)));
-        let parallax = self.view_box.parallax(&self.intrinsics, r);
-        // one more pixel, because rounding between the corners can differ
-        let reach = |parallax: f64| ((most - least) * parallax + MARGIN).min(MAX_REACH).ceil() as u32 + 1;
-        grown(r, reach(parallax.0), reach(parallax.1), &self.grid)
-    }
-
     /// Clears the texels of a layer in `hidden`, a mask of 0 and 1 over the tile, that no camera of the view box can see. Returns the
     /// number of remaining texels.
     #[inline(never)]
     pub(super) fn keep_seen(&self, layer: &Behind, surface: &Surface, hidden: &mut [u8], scratch: &mut Pruning) -> usize {
-        let (Behind { r, place, plane, depth }, Pruning { us, open, reach: dilation }) = (layer, scratch);
+        let (Behind { r, place, plane, near, .. }, Pruning { us, open, reach: dilation, sums }) = (layer, scratch);
         let Some(bounds) = extent(hidden, r.w as usize) else { return 0 };
-        let parallax = self.view_box.parallax(&self.intrinsics, *r);
-        let reach = |parallax: f64, step: f64| (step * parallax + MARGIN).min(MAX_REACH).ceil() as u32;
-        let win = grown(*r, reach(parallax.0, *depth), reach(parallax.1, *depth), &self.grid);
-        // an occluder in the neighbourhood can be nearer still, and its edge uncovers more
-        let nearest = (win.y..win.y + win.h).map(|y| visibility_kernels::nearest(surface.row(win.x, y, win.w))).fold(0.0, f32::max);
-        // an affine plane is farthest at a corner
-        let corner = |x: u32, y: u32| place.disparity(plane, x, y);
-        let (right, lower) = (win.x + win.w - 1, win.y + win.h - 1);
-        let least = corner(win.x, win.y).min(corner(right, win.y)).min(corner(win.x, lower)).min(corner(right, lower));
-        let step = (f64::from(nearest) - f64::from(least).max(0.0)).max(*depth);
-        let radius = (reach(parallax.0, step), reach(parallax.1, step));
-        // pixels farther than that from all hidden texels cannot uncover any
+        // pixels farther than the radius from all hidden texels cannot uncover any
         let inner = Rect { x: r.x + bounds.x, y: r.y + bounds.y, ..bounds };
-        let near = common(win, grown(inner, radius.0, radius.1, &self.grid));
-        place.columns(near.x, near.w, us);
-        open.resize(near.area(), 0);
-        for (y, open) in (near.y..).zip(open.chunks_mut(near.w as usize)) {
-            visibility_kernels::open(us, place.v(y), plane, surface.row(near.x, y, near.w), UNOCCLUDED, open);
+        let (win, radius) = if self.short_reach {
+            self.short_window(layer, inner, surface)
+        } else {
+            self.search_window(inner, *near, place.least(plane, inner).max(0.0))
+        };
+        if radius.0.max(radius.1) > FINE_REACH
+            && let Some(coarse) = surface.coarse()
+        {
+            let search = BlockSearch { win, inner, radius, plane, frame: (place.centre, place.half), slack: UNOCCLUDED };
+            return coarse.keep_seen(&search, *r, hidden, sums);
         }
-        dilate(open, near.w, Rect { x: inner.x - near.x, y: inner.y - near.y, ..inner }, radius, dilation);
+        place.columns(win.x, win.w, us);
+        open.resize(win.area(), 0);
+        for (y, open) in (win.y..).zip(open.chunks_mut(win.w as usize)) {
+            visibility_kernels::open(us, place.v(y), plane, surface.row(win.x, y, win.w), UNOCCLUDED, open);
+        }
+        dilate(open, win.w, Rect { x: inner.x - win.x, y: inner.y - win.y, ..inner }, radius, dilation);
         let mut seen = 0;
         for (y, reached) in (bounds.y as usize..).zip(dilation.out.chunks(bounds.w as usize)) {
             for (h, reached) in hidden[y * r.w as usize + bounds.x as usize..].iter_mut().zip(reached) {
@@ -111,6 +72,18 @@ impl Geometry {
             }
         }
         seen
+    }
+
+    /// The search of minor versions until 4: pixels, and radius.
+    fn short_window(&self, layer: &Behind, inner: Rect, surface: &Surface) -> (Rect, (u32, u32)) {
+        let Behind { r, place, plane, depth, .. } = layer;
+        let parallax = self.view_box.parallax(&self.intrinsics, *r);
+        let radius = |step: f64| (pixels(step * parallax.0, FINE_REACH), pixels(step * parallax.1, FINE_REACH));
+        let (x, y) = radius(*depth);
+        let win = grown(*r, x, y, &self.grid);
+        let step = (surface.nearest(win, false) - place.least(plane, win).max(0.0)).max(*depth);
+        let radius = radius(step);
+        (common(win, grown(inner, radius.0, radius.1, &self.grid)), radius)
     }
 }
 
@@ -137,7 +110,7 @@ pub(super) fn extent(mask: &[u8], w: usize) -> Option<Rect> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Class, Tile};
+    use crate::{Class, Grid, Intrinsics, Tile, ViewBox};
 
     #[test]
     fn background_has_hidden_texels_only_near_the_edge_that_uncovers_them() {
@@ -151,6 +124,7 @@ mod tests {
             view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
             tiles: vec![tile],
             matted: false,
+            short_reach: false,
         };
         let shapes = &b.masks()[0];
         let far = &shapes.layers[0];
@@ -161,24 +135,5 @@ mod tests {
         assert_eq!(shapes.never_seen, 22 * 28);
         let near = &shapes.layers[1];
         assert!(near.alpha.iter().any(|a| (1..255).contains(a)), "the near layer has a soft rim");
-    }
-
-    #[test]
-    fn rows_of_tiles_depend_on_pixels_within_the_maximum_reach() {
-        let grid = Grid { width: 100, height: 3000, size: 64, stride: 56 };
-        let reach = MAX_REACH as u32;
-        assert_eq!(Geometry::pixel_rows(&grid, &(20..22)), 20 * 56 - reach..21 * 56 + 64 + reach);
-        assert_eq!(Geometry::pixel_rows(&grid, &(0..1)), 0..64 + reach);
-        let rows = grid.tiles() / grid.columns();
-        assert_eq!(Geometry::pixel_rows(&grid, &(rows - 1..rows)), (rows - 1) * 56 - reach..3000);
-    }
-
-    #[test]
-    fn work_counts_every_plane_and_the_window_once_more() {
-        let grid = Grid { width: 300, height: 64, size: 64, stride: 64 };
-        let reach = MAX_REACH as u32;
-        let window = |i: u32| u64::from((i * 64 + 64 + reach).min(300) - (i * 64).saturating_sub(reach)) * 64;
-        let want: u64 = [3u64, 0, 1, 2, 5].iter().zip(0..).map(|(n, i)| window(i).min(300 * 64) * (n + 1)).sum();
-        assert_eq!(work_of(&grid, [3, 0, 1, 2, 5].into_iter()), want);
     }
 }

@@ -2,8 +2,10 @@
 
 use std::ops::Range;
 
-use super::visibility_kernels::Columns;
+use super::coarse_surface::CoarseSurface;
+use super::visibility_kernels::{Columns, nearest};
 use super::{Geometry, TileFrame};
+use crate::scene::Rect;
 
 /// Difference in δ from which a pixel's colour is mixed with that of a nearer neighbour.
 const TOUCH: f64 = 0.03;
@@ -15,12 +17,15 @@ pub struct Surface {
     /// Index of the first row.
     top: u32,
     delta: Vec<f32>,
+    /// The same in blocks, mixed pixels included, if pruning searches them.
+    coarse: Option<CoarseSurface>,
 }
 
 impl Surface {
+    /// The surface of some rows. These must be whole blocks, or end with the photo, if pruning searches blocks.
     pub(super) fn of(geometry: &Geometry, rows: Range<u32>) -> Self {
         let (grid, width) = (&geometry.grid, geometry.grid.width as usize);
-        let mut surface = Self { width, top: rows.start, delta: vec![0.0; width * rows.len()] };
+        let mut surface = Self { width, top: rows.start, delta: vec![0.0; width * rows.len()], coarse: None };
         let (mut us, mut planes) = (Vec::new(), Vec::new());
         for (i, t) in (0..).zip(&geometry.tiles) {
             let r = grid.rect(i);
@@ -36,7 +41,19 @@ impl Surface {
                 columns.visible((y - r.y) as usize, place.v(y), &mut planes, &mut surface.delta[at..at + r.w as usize]);
             }
         }
+        surface.coarse = geometry.searches_blocks().then(|| CoarseSurface::of(width, surface.top, &surface.delta));
         surface
+    }
+
+    /// The surface in blocks, if pruning searches them.
+    pub(super) const fn coarse(&self) -> Option<&CoarseSurface> {
+        self.coarse.as_ref()
+    }
+
+    /// The greatest δ in a window, at least 0; with `in_blocks`, of all blocks that overlap it.
+    pub(super) fn nearest(&self, win: Rect, in_blocks: bool) -> f64 {
+        let of_pixels = || (win.y..win.y + win.h).map(|y| nearest(self.row(win.x, y, win.w))).fold(0.0, f32::max);
+        f64::from(self.coarse().filter(|_| in_blocks).map_or_else(of_pixels, |coarse| coarse.nearest(win)))
     }
 
     /// Index of the first row.

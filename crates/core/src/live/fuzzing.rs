@@ -17,9 +17,10 @@ pub fn message(data: &[u8]) {
             let empty = Geometry {
                 grid,
                 intrinsics: Intrinsics::centred(130, 100, 75.0),
-                view_box: ViewBox::default(),
+                view_box: ViewBox::cube(0.03),
                 tiles: Vec::new(),
                 matted: false,
+                short_reach: false,
             };
             let Ok(mut model) = TileState::new(&TileState::hello(&empty)) else { return };
             if model.take(&g).is_err() {

@@ -142,9 +142,10 @@ pub struct ViewBox {
     pub z: f64,
 }
 
-impl Default for ViewBox {
-    fn default() -> Self {
-        Self { x: 0.03, y: 0.03, z: 0.03 }
+impl ViewBox {
+    /// The same half extent along all axes.
+    pub const fn cube(half: f64) -> Self {
+        Self { x: half, y: half, z: half }
     }
 }
 

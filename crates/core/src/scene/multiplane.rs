@@ -211,7 +211,7 @@ mod tests {
         Scene {
             grid,
             intrinsics: Intrinsics::centred(4, 1, 50.0),
-            view_box: ViewBox::default(),
+            view_box: ViewBox::cube(0.03),
             photo: Photo { width: 4, height: 1, rgb: vec![[9; 3]; 4] },
             layers: vec![layer(0, 0), layer(1, 1)],
             texels: Texels { class, alpha: vec![255, 1, 0, 7], hidden: vec![[1; 3], [2; 3]] },

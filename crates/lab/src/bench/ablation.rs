@@ -98,7 +98,8 @@ impl<'a> Prepared<'a> {
             _ => &self.snapped,
         };
         let tiles = place(map, None, &grid, &placement);
-        let mut geometry = Geometry { grid, intrinsics: self.intrinsics, view_box: options.view_box, tiles, matted: false };
+        let mut geometry =
+            Geometry { grid, intrinsics: self.intrinsics, view_box: options.view_box, tiles, matted: false, short_reach: false };
         if without != Without::Backgrounds {
             layers::add_backgrounds(&mut geometry, map);
         }

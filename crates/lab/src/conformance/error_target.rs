@@ -141,7 +141,7 @@ pub(super) fn pixels(checked: &mut Checked, kernel: impl Fn(Intrinsics, ViewBox,
     let beside = Intrinsics { fx: 80.0, fy: 120.0, cx: -30.0, cy: 200.0 };
     let boxes = [
         ("no view box", ViewBox { x: 0.0, y: 0.0, z: 0.0 }),
-        ("the default view box", ViewBox::default()),
+        ("the default view box", Options::VIEW_BOX),
         ("a view box of .1 × .06 × .2", VIEW_BOX),
         ("forward", ViewBox { x: 0.0, y: 0.0, z: 0.5 }),
         ("nearly up to a surface", ViewBox { x: 0.3, y: 0.0, z: 0.94 }),

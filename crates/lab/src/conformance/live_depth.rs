@@ -11,6 +11,7 @@ const FAMILY: &str = "live depth";
 
 pub(super) fn run(checked: &mut Checked) {
     scales(checked, fit);
+    noise_alone(checked, fit);
     borders(checked, join_borders);
 }
 
@@ -46,6 +47,16 @@ pub(super) fn scales(checked: &mut Checked, kernel: impl Fn(&DisparityMap, &Disp
                 }
             });
         }
+    }
+}
+
+/// Noise of one surface is no scale, even if the last map has less of it.
+fn noise_alone(checked: &mut Checked, kernel: impl Fn(&DisparityMap, &DisparityMap, &[bool]) -> Affine) {
+    let flat = |by: f32, seed: u32| DisparityMap::from_fn(60, 60, |x, y| 0.4 + by * (noise(y * 60 + x, seed) - 0.5));
+    for seed in 0..4 {
+        checked.case(FAMILY, &format!("noise alone, {seed}"), "scale and shift", "of the scale", 1e-9, || {
+            (kernel(&flat(0.04, seed), &flat(0.008, seed + 100), &[true; 3600]).scale - 1.0).abs()
+        });
     }
 }
 

@@ -25,6 +25,7 @@ pub(super) fn geometry((w, h): (u32, u32), size: u32, planes: &[Plane], label: i
         view_box: ViewBox { x: 0.1, y: 0.06, z: 0.0 },
         tiles: (0..grid.tiles()).map(tile).collect(),
         matted: false,
+        short_reach: false,
     }
 }
 
@@ -38,7 +39,7 @@ type Paint = fn(u32, u32) -> [u8; 3];
 /// Label of a pixel.
 type Label = fn(u32, u32) -> u8;
 
-/// Pixels of parallax over the default view box up to which a rim that folds is a crease.
+/// Pixels of parallax over a box of .03 up to which a rim that folds is a crease.
 const SEAM: f64 = 1.0;
 
 const FLAT: fn(f64) -> Plane = Plane::fronto_parallel;
@@ -99,7 +100,7 @@ fn wrong_texels(geometry: &Geometry, index: u32, masks: &LayerMasks) -> usize {
         tile.planes[usize::from(label)].disparity(u, v)
     };
     let shown = |(x, y): (u32, u32)| tile.labels[(y * r.w + x) as usize];
-    let (across, down) = ViewBox::default().parallax(&geometry.intrinsics, r);
+    let (across, down) = ViewBox::cube(0.03).parallax(&geometry.intrinsics, r);
     let usual = across.max(down);
     let mut wrong = 0;
     for label in 0..tile.planes.len() as u8 {

@@ -30,7 +30,7 @@ impl Builder {
         Self(Scene {
             grid,
             intrinsics,
-            view_box: ViewBox::default(),
+            view_box: ViewBox::cube(0.03),
             photo: Photo { width: w, height: h, rgb: (0..w * h).map(pixel).collect() },
             layers: Vec::new(),
             texels: Texels::default(),

@@ -43,7 +43,7 @@ fn reference(g: &Geometry, index: u32, old: &Tile, new: &Tile) -> f64 {
 fn scene(view_box: ViewBox) -> Geometry {
     let grid = Grid::new(90, 70, 32);
     let tiles = vec![Tile::default(); grid.tiles() as usize];
-    Geometry { grid, intrinsics: Intrinsics::from_fov_x(90, 70, 60.0), view_box, tiles, matted: false }
+    Geometry { grid, intrinsics: Intrinsics::from_fov_x(90, 70, 60.0), view_box, tiles, matted: false, short_reach: false }
 }
 
 /// A tile with planes from far to near, a background if `behind`, and labels in stripes that begin at `edge`.
@@ -88,7 +88,7 @@ proptest! {
 
 #[test]
 fn the_bound_is_exact_for_fronto_parallel_planes() {
-    let g = scene(ViewBox::default());
+    let g = scene(ViewBox::cube(0.03));
     for index in 0..g.grid.tiles() {
         let [old, new] = [0.4, 0.43].map(|a| tile(&g, index, &[[a, 0.0, 0.0]], false, 0));
         let (bound, found) = (tile_displacement(&g, index, &old, &new), reference(&g, index, &old, &new));
@@ -98,7 +98,7 @@ fn the_bound_is_exact_for_fronto_parallel_planes() {
 
 #[test]
 fn different_numbers_of_layers_are_infinitely_far_apart() {
-    let g = scene(ViewBox::default());
+    let g = scene(ViewBox::cube(0.03));
     let two = tile(&g, 1, &[[0.2, 0.0, 0.0], [0.7, 0.0, 0.0]], true, 0);
     assert_eq!(tile_displacement(&g, 1, &two, &two).to_bits(), 0f64.to_bits());
     for other in [tile(&g, 1, &[[0.2, 0.0, 0.0]], true, 0), Tile { background: None, ..two.clone() }, Tile::default()] {

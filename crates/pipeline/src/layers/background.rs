@@ -8,8 +8,8 @@ use crate::planes::fit_points;
 
 /// Margin around a tile, in pixels, from which a background plane is fitted.
 const BACKGROUND_REACH: u32 = 32;
-/// Widest margin, if there is no background so near: as far as hidden texels reach (`tmpi_core`).
-const WIDEST_REACH: u32 = 96;
+/// The next margin, if there is no background so near. Each later one is twice as wide. In margins wider than this, pixels are sampled.
+const NEXT_REACH: u32 = 96;
 /// Fewest pixels from which a background plane is fitted.
 const BACKGROUND_PIXELS: usize = 32;
 /// How much farther than the whole tile these pixels must be, in δ.
@@ -23,20 +23,27 @@ pub fn add_backgrounds(geometry: &mut Geometry, delta: &DisparityMap) {
 /// Like [`add_backgrounds`], for tiles that are `wanted` only; other tiles keep their background plane.
 pub fn add_backgrounds_to(geometry: &mut Geometry, delta: &DisparityMap, wanted: impl Fn(u32) -> bool + Sync) {
     let grid = geometry.grid;
-    let (x, y) = geometry.view_box.parallax(&geometry.intrinsics, Rect { x: 0, y: 0, w: grid.width, h: grid.height });
-    // as far as the farthest camera uncovers, but no farther than readers search
-    let wide = x.max(y).clamp(f64::from(BACKGROUND_REACH), f64::from(WIDEST_REACH)).ceil() as u32;
+    // as far as the farthest camera uncovers, and readers search
+    let (x, y) = geometry.reach();
+    let farthest_reach = x.max(y);
     // in a room's first frames some tiles may have no planes yet, and show nothing to uncover
     let of = |(i, t): (usize, &Tile)| if t.planes.is_empty() { f32::INFINITY } else { t.min_disparity(&grid, i as u32) };
     let farthest: Vec<f32> = geometry.tiles.par_iter().enumerate().map(of).collect();
     geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
         let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
-        let within = |reach: u32, points: &mut _| background(delta, grown(r, reach, reach, &grid), (r, place), farthest[i], points);
-        t.background = within(BACKGROUND_REACH, points);
-        if t.background.is_none() && wide > BACKGROUND_REACH && may_uncover(&grid, i as u32, &farthest, wide) {
-            t.background = within(wide, points);
-        }
+        let uncovers = |reach: &u32| *reach == BACKGROUND_REACH || may_uncover(&grid, i as u32, &farthest, *reach);
+        let within = |reach: u32| {
+            let (win, step) = (grown(r, reach, reach, &grid), reach.div_ceil(NEXT_REACH) as usize);
+            background(delta, win, (r, place), farthest[i], step, points)
+        };
+        t.background = margins(farthest_reach).filter(uncovers).find_map(within);
     });
+}
+
+/// Margins in which background is searched, one after the other, up to the `farthest`, in pixels.
+fn margins(farthest: u32) -> impl Iterator<Item = u32> {
+    let wider = std::iter::successors(Some(NEXT_REACH), move |reach| (*reach < farthest).then_some(2 * reach));
+    std::iter::once(BACKGROUND_REACH).chain(wider.map(move |reach| reach.min(farthest)).filter(|reach| *reach > BACKGROUND_REACH))
 }
 
 /// Whether a tile within `reach` pixels of tile `index` shows something so much farther that a camera may uncover it behind tile `index`.
@@ -48,29 +55,31 @@ fn may_uncover(grid: &Grid, index: u32, farthest: &[f32], reach: u32) -> bool {
     around(y, grid.rows()).any(|row| around(x, columns).any(|column| farthest[(row * columns + column) as usize] < far))
 }
 
-/// Fits a plane to background that only the neighbourhood shows. Without it, gaps wider than the tile's reach stay empty.
+/// Fits a plane to background that only the neighbourhood shows, from every `step`th pixel of every `step`th row. Without it, gaps wider than
+/// the tile's reach stay empty.
 fn background(
     delta: &DisparityMap,
     win: Rect,
     (r, place): (Rect, TileFrame),
     farthest: f32,
+    step: usize,
     points: &mut Vec<(f64, f64, f64, f64)>,
 ) -> Option<Plane> {
     points.clear();
     let far = farthest - BACKGROUND_STEP;
-    for y in win.y..win.y + win.h {
+    for y in (win.y..win.y + win.h).step_by(step) {
         let (row, v) = (&delta.delta[y as usize * delta.width as usize..], place.v(y));
         // in the tile's own rows, only left and right of it
         let beside = if (r.y..r.y + r.h).contains(&y) { [win.x..r.x, r.x + r.w..win.x + win.w] } else { [win.x..win.x + win.w, 0..0] };
         for part in beside {
-            for (x, &d) in (part.start..).zip(&row[part.start as usize..part.end as usize]) {
+            for (x, &d) in (part.start..).zip(&row[part.start as usize..part.end as usize]).step_by(step) {
                 if d < far {
                     points.push(((f64::from(x) + 0.5 - place.centre.0) / place.half, v, f64::from(d), 1.0));
                 }
             }
         }
     }
-    if points.len() < BACKGROUND_PIXELS {
+    if points.len() * step * step < BACKGROUND_PIXELS {
         return None;
     }
     let plane = fit_points(points.iter().copied())?;
@@ -102,7 +111,17 @@ mod tests {
             Tile { planes: all.into_iter().map(|d| Plane::fronto_parallel(d.into())).collect(), labels, background: None }
         };
         let tiles = (0..grid.tiles()).map(tile).collect();
-        (Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles, matted: false }, map)
+        (
+            Geometry {
+                grid,
+                intrinsics: Intrinsics::centred(width, height, 300.0),
+                view_box: ViewBox::cube(0.03),
+                tiles,
+                matted: false,
+                short_reach: false,
+            },
+            map,
+        )
     }
 
     /// The background of a tile by definition, in `f64`: the least-squares plane, with a ridge on its slopes, through the pixels around
@@ -184,9 +203,32 @@ mod tests {
     }
 
     fn wide(scene: &Geometry) -> u32 {
-        let all = Rect { x: 0, y: 0, w: scene.grid.width, h: scene.grid.height };
-        let (x, y) = scene.view_box.parallax(&scene.intrinsics, all);
-        (x.max(y).ceil() as u32).clamp(BACKGROUND_REACH, WIDEST_REACH)
+        let (x, y) = scene.reach();
+        x.max(y).clamp(BACKGROUND_REACH, NEXT_REACH)
+    }
+
+    #[test]
+    fn margins_double_until_the_farthest() {
+        let all = |farthest| margins(farthest).collect::<Vec<_>>();
+        assert_eq!((all(2), all(32), all(60), all(96)), (vec![32], vec![32], vec![32, 60], vec![32, 96]));
+        assert_eq!((all(192), all(400)), (vec![32, 96, 192], vec![32, 96, 192, 384, 400]));
+    }
+
+    #[test]
+    fn a_wide_photo_finds_walls_as_far_as_its_cameras_see() {
+        // tile 0 ends at 64; the far wall begins beyond
+        let behind = |from: u32, extent: f64| {
+            let (mut scene, map) = walls(1500, 64, 64, |x, _| if x < from { 0.8 } else { 0.2 });
+            scene.view_box = ViewBox { x: extent, y: 0.0, z: 0.0 };
+            add_backgrounds(&mut scene, &map);
+            scene.tiles[0].background
+        };
+        for from in [64 + 90, 64 + 150, 64 + 290, 64 + 350] {
+            // 300 pixels per unit
+            let reach = f64::from(from - 64);
+            assert!(behind(from, (reach + 20.0) / 300.0).is_some_and(|p| (p.disparity(0.0, 0.0) - 0.2).abs() < 0.01), "{from}");
+            assert_eq!(behind(from, (reach - 20.0) / 300.0), None, "{from}");
+        }
     }
 
     #[test]

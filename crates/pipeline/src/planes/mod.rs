@@ -80,7 +80,7 @@ pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, plac
     place_rounded(delta, confidence, grid, placement).into_iter().map(|r| r.tile).collect()
 }
 
-/// [`place`], with the error of rounding planes to the container's grid of coefficients.
+/// [`place`], with the planes before rounding to the container's grid of coefficients.
 pub fn place_rounded(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Rounded> {
     (0..grid.tiles())
         .into_par_iter()
@@ -96,8 +96,8 @@ pub fn place_rounded(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Gr
 pub struct Rounded {
     /// The tile.
     pub tile: Tile,
-    /// Largest change of any of its planes by rounding, anywhere on the tile, in δ.
-    pub rounding: f64,
+    /// Its planes before rounding, in the same order. Of planes that are equal after rounding, the one that changed most.
+    pub before: Vec<Plane>,
 }
 
 /// Share of tiles, 0 to 1, whose best single slanted plane misses `target` (99th percentile of |δ error|).
@@ -156,13 +156,16 @@ fn far_to_near(p: &Plane, q: &Plane) -> Ordering {
 
 /// Rounds planes to the container's grid of coefficients, sorts them, labels the pixels and drops planes without pixels.
 fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Rounded {
-    let rounding = planes.iter().map(|p| largest_change(p, &p.quantised())).fold(0.0, f64::max);
-    let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
-    planes.sort_by(far_to_near);
-    planes.dedup();
+    let change = |[q, p]: &[Plane; 2]| largest_change(p, q);
+    let mut both: Vec<[Plane; 2]> = planes.into_iter().map(|p| [p.quantised(), p]).collect();
+    both.sort_by(|x, y| far_to_near(&x[0], &y[0]).then(change(y).total_cmp(&change(x))));
+    both.dedup_by(|x, y| x[0] == y[0]);
+    let planes: Vec<Plane> = both.iter().map(|[q, _]| *q).collect();
     let (mut nearest, mut error) = (Vec::new(), Vec::new());
     samples.assign(&planes, &mut nearest, &mut error);
-    Rounded { tile: finish_labelled(samples, planes, nearest.iter().map(|&l| l as u8).collect(), placement), rounding }
+    let tile = finish_labelled(samples, planes, nearest.iter().map(|&l| l as u8).collect(), placement);
+    let before = both.iter().filter(|[q, _]| tile.planes.contains(q)).map(|[_, p]| *p).collect();
+    Rounded { tile, before }
 }
 
 /// Smooths the labels of sorted and rounded planes, and drops planes without pixels.

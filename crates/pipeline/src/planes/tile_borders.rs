@@ -34,21 +34,20 @@ const NEGLIGIBLE: f64 = 3.0 * Plane::STEP;
 type Sums = [f64; 6];
 
 /// Moves the planes of `tiles`, rounded to the container's grid and labelled, so that neighbours meet in their overlap. Labels, numbers and
-/// orders of planes stay. The 99th percentile of each tile's |δ error| stays below `target`, or does not rise if it is above. Raises
-/// `rounding`, one value per tile, to the largest change of the tile's moved planes by rounding, in δ.
+/// orders of planes stay. The 99th percentile of each tile's |δ error| stays below `target`, or does not rise if it is above. `before`
+/// has the planes of each tile before rounding; it follows them.
 ///
 /// The result does not depend on the number of threads. Time is linear in the number of pixels.
-pub fn meet_at_borders(delta: &DisparityMap, grid: &Grid, target: f64, tiles: &mut [Tile], rounding: &mut [f64]) {
+pub fn meet_at_borders(delta: &DisparityMap, grid: &Grid, target: f64, tiles: &mut [Tile], before: &mut [Vec<Plane>]) {
     if tiles.len() < 2 || target <= 0.0 {
         return;
     }
     let refined = refine(delta, grid, target, tiles, SWEEPS);
-    for ((tile, most), refined) in tiles.iter_mut().zip(rounding).zip(refined) {
-        for (plane, exact) in tile.planes.iter_mut().zip(refined) {
+    for ((tile, before), refined) in tiles.iter_mut().zip(before).zip(refined) {
+        for ((plane, before), exact) in tile.planes.iter_mut().zip(before).zip(refined) {
             let rounded = exact.quantised();
             if rounded != *plane {
-                *most = most.max(largest_change(&exact, &rounded));
-                *plane = rounded;
+                (*plane, *before) = (rounded, exact);
             }
         }
     }

@@ -2,12 +2,14 @@
 
 use rayon::prelude::*;
 
-use tmpi_core::{DisparityMap, Geometry, Intrinsics, Rect, Tile, ViewBox};
+use tmpi_core::{DisparityMap, Geometry, Intrinsics, Plane, Rect, Tile, TileFrame, ViewBox};
 
 use super::report::ParallaxShift;
 
 /// Most pixels that [`Parallax::resampled`] compares.
 const SAMPLES: usize = 1 << 16;
+/// Columns and rows of pixels that [`Parallax::of_rounding`] compares in a tile.
+const ROUNDING_SAMPLES: u32 = 8;
 /// Least distance of a surface from a camera of the view box, as a share of its distance from the reference camera. In a box that reaches
 /// into a surface, a disparity error would shift the surface's points without bound.
 const MIN_DISTANCE: f64 = 0.05;
@@ -87,6 +89,26 @@ impl Parallax {
         geometry.tiles.par_iter().enumerate().map_init(Vec::new, one).collect()
     }
 
+    /// Largest shift of a pixel by rounding its plane, for tiles whose planes were `before` rounding, in the same order. Compares 8 × 8 pixels
+    /// of each tile, from corner to corner.
+    pub fn of_rounding(&self, geometry: &Geometry, before: &[Vec<Plane>]) -> f64 {
+        let grid = &geometry.grid;
+        let one = |(index, (tile, before)): (usize, (&Tile, &Vec<Plane>))| {
+            let (rect, place) = (grid.rect(index as u32), TileFrame::of(grid, index as u32));
+            let at = |x: u32, y: u32| {
+                let label = usize::from(tile.labels[(y * rect.w + x) as usize]);
+                let (x, y) = (f64::from(rect.x + x) + 0.5, f64::from(rect.y + y) + 0.5);
+                let delta =
+                    |planes: &[Plane]| planes[label].disparity((x - place.centre.0) / place.half, (y - place.centre.1) / place.half);
+                self.pixels((x, y), delta(before), delta(&tile.planes))
+            };
+            let spread = |i: u32, length: u32| i * (length - 1) / (ROUNDING_SAMPLES - 1);
+            let samples = (0..ROUNDING_SAMPLES * ROUNDING_SAMPLES).map(|i| (i % ROUNDING_SAMPLES, i / ROUNDING_SAMPLES));
+            samples.map(|(i, j)| at(spread(i, rect.w), spread(j, rect.h))).fold(0.0, f64::max)
+        };
+        geometry.tiles.par_iter().zip(before).enumerate().map(one).reduce(|| 0.0, f64::max)
+    }
+
     fn of_tile(&self, delta: &DisparityMap, geometry: &Geometry, (index, tile): (u32, &Tile), errors: &mut Vec<f32>) -> TileError {
         let grid = &geometry.grid;
         let (rect, centre, half) = (grid.rect(index), grid.centre(index), grid.half());
@@ -148,7 +170,7 @@ fn gcd(a: usize, b: usize) -> usize {
 mod tests {
     use super::*;
     use crate::Options;
-    use tmpi_core::{Camera, Pose, homography};
+    use tmpi_core::{Camera, Grid, Pose, homography};
     use tmpi_render::MotionRange;
 
     const BOX: ViewBox = ViewBox { x: 0.12, y: 0.08, z: 0.06 };
@@ -195,6 +217,43 @@ mod tests {
             let all = Rect { x: 0, y: 0, w: 100, h: 60 };
             assert!(px <= (a - b).abs() * m.most(all) + 1e-9);
         }
+    }
+
+    #[test]
+    fn the_shift_by_rounding_is_that_of_the_pixels() {
+        let grid = Grid::new(200, 150, 64);
+        let noise = |t: u32, k: u32| f64::from(tmpi_testing::pictures::noise(t, k));
+        let exact =
+            |t: u32| [0, 3].map(|k| Plane { a: noise(t, k), b: 0.2 * noise(t, k + 1) - 0.1, c: 0.2 * noise(t, k + 2) - 0.1 }).to_vec();
+        let before: Vec<Vec<Plane>> = (0..grid.tiles()).map(exact).collect();
+        // the second plane has no pixel of tile 0
+        let tile = |(t, planes): (u32, &Vec<Plane>)| {
+            let labels = (0..grid.rect(t).area()).map(|i| u8::from(t > 0 && i % 7 < 3)).collect();
+            Tile { planes: planes.iter().map(Plane::quantised).collect(), labels, background: None }
+        };
+        let tiles: Vec<Tile> = (0..).zip(&before).map(tile).collect();
+        let k = Intrinsics::centred(200, 150, 116.0);
+        let geometry = Geometry { grid, intrinsics: k, view_box: BOX, tiles, matted: false, short_reach: false };
+        // by homographies of all pixels, in the cameras at the corners of the box
+        let mut most = 0.0f64;
+        for (t, (tile, before)) in (0..).zip(geometry.tiles.iter().zip(&before)) {
+            let (r, place) = (grid.rect(t), TileFrame::of(&grid, t));
+            for (i, label) in (0..).zip(&tile.labels) {
+                let at = [f64::from(r.x + i % r.w) + 0.5, f64::from(r.y + i / r.w) + 0.5];
+                let (u, v) = ((at[0] - place.centre.0) / place.half, (at[1] - place.centre.1) / place.half);
+                let [a, b] = [before, &tile.planes].map(|planes| planes[usize::from(*label)].disparity(u, v));
+                let corner = |i: u32| {
+                    let side = |bit: u32, v: f64| if i >> bit & 1 == 0 { v } else { -v };
+                    let [x, y, z] = [side(0, BOX.x), side(1, BOX.y), side(2, BOX.z)];
+                    let shown = |d: f64| [(at[0] - k.cx - k.fx * x * d) / (1.0 - z * d), (at[1] - k.cy - k.fy * y * d) / (1.0 - z * d)];
+                    let (p, q) = (shown(a), shown(b));
+                    (p[0] - q[0]).abs().max((p[1] - q[1]).abs())
+                };
+                most = (0..8).map(corner).fold(most, f64::max);
+            }
+        }
+        let found = Parallax::new(k, BOX).of_rounding(&geometry, &before);
+        assert!(found <= most + 1e-9 && found > 0.8 * most, "{found} of {most}");
     }
 
     #[test]

@@ -31,11 +31,10 @@ pub fn verify(photo: &Photo, geometry: &Geometry) -> Result<PruneError, RenderEr
 const SHARE: u32 = 16;
 /// Fewest tiles of a photo that is sampled.
 const FEWEST: u32 = 32;
-/// Largest parallax between near and far, in pixels, that a part is made for: more than pruning searches, and that of the default view box
-/// on a photo of 1600 pixels.
+/// Largest parallax between near and far, in pixels, that a part is made for: that of the default view box on a photo of 1600 pixels.
 const MAX_PARALLAX: f64 = 160.0;
-/// Pixels around a texel that decide whether it is pruned, and its footprint.
-const DECISIVE: f64 = 98.0;
+/// Pixels around a texel that a view blends with it, and rounding.
+const FOOTPRINT: f64 = 2.0;
 
 /// Like [`verify`], but on parts of the photo, seen from two opposite corners of the view box, or from so far on the way to them as
 /// [`MAX_PARALLAX`] allows. A part is a tile and all around it that parallax moves across. Of every stretch of tiles it is the tile with
@@ -111,9 +110,9 @@ impl Reach {
         Self { middle: f64::midpoint(far, near), share, apart: most * share }
     }
 
-    /// Tiles to each side of a tile that are in views of it. Texels there are pruned as in the whole photo.
+    /// Tiles to each side of a tile that are in views of it, and the edges that uncover texels in these views.
     fn tiles(&self, grid: &Grid) -> u32 {
-        ((self.apart + DECISIVE + f64::from(grid.size)) / f64::from(grid.stride)).ceil() as u32
+        ((2.0 * self.apart + FOOTPRINT + f64::from(grid.size)) / f64::from(grid.stride)).ceil() as u32
     }
 
     /// A camera near the corner of the view box on this `side`, 1 or -1. Its picture is as large as the tile and half the parallax around
@@ -142,7 +141,7 @@ struct Part {
 impl Part {
     /// A tile and so many tiles to each side.
     fn around(photo: &Photo, geometry: &Geometry, tile: u32, by: u32) -> Self {
-        let Geometry { grid, intrinsics: k, view_box, tiles, .. } = geometry;
+        let Geometry { grid, intrinsics: k, view_box, tiles, short_reach, .. } = geometry;
         let (column, row) = (tile % grid.columns(), tile / grid.columns());
         let around = |at: u32, count: u32| at.saturating_sub(by)..(at + by + 1).min(count);
         let (columns, rows) = (around(column, grid.columns()), around(row, grid.rows()));
@@ -154,7 +153,7 @@ impl Part {
         let intrinsics = Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..*k };
         Self {
             photo: Photo { width: rect.w, height: rect.h, rgb },
-            geometry: Geometry { grid: own, intrinsics, view_box: *view_box, tiles, matted: false },
+            geometry: Geometry { grid: own, intrinsics, view_box: *view_box, tiles, matted: false, short_reach: *short_reach },
             tile: (row - rows.start) * own.columns() + column - columns.start,
         }
     }
@@ -236,11 +235,12 @@ mod tests {
             view_box: ViewBox { x: 0.01, y: 0.01, z: 0.0 },
             tiles: vec![tile],
             matted: false,
+            short_reach: false,
         };
         (photo, geometry)
     }
 
-    /// A wide photo of a wall behind a slab, whose edges uncover more of the wall than pruning searches.
+    /// A wide photo of a wall behind a slab.
     fn wide(width: u32) -> (Photo, Geometry) {
         let grid = Grid::new(width, 600, 64);
         let near = |x: u32, y: u32| (width / 3..width * 2 / 3).contains(&x) && (150..450).contains(&y);
@@ -253,12 +253,14 @@ mod tests {
         };
         let intrinsics = Intrinsics::centred(width, 600, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(width));
         let tiles = (0..grid.tiles()).map(tile).collect();
-        (photo, Geometry { grid, intrinsics, view_box: Options::VIEW_BOX, tiles, matted: false })
+        (photo, Geometry { grid, intrinsics, view_box: Options::VIEW_BOX, tiles, matted: false, short_reach: false })
     }
 
     #[test]
     fn a_sample_sees_texels_that_pruning_wrongly_leaves_out_of_a_wide_photo() {
         let (photo, geometry) = wide(4000);
+        // the search of older containers
+        let geometry = Geometry { short_reach: true, ..geometry };
         let (all, some) = (verify(&photo, &geometry).unwrap(), sample(&photo, &geometry).unwrap().unwrap());
         assert!(all.max_abs > 100 && all.share_off > 0.0, "{all:?}");
         assert!(some.max_abs > 100 && some.share_off > 0.0 && some.tiles < all.tiles, "{some:?}");
@@ -267,7 +269,7 @@ mod tests {
     #[test]
     fn the_share_of_missing_pixels_is_that_of_the_band_beyond_the_search() {
         let (photo, geometry) = wide(4000);
-        let geometry = Geometry { view_box: ViewBox { x: 0.12, y: 0.0, z: 0.0 }, ..geometry };
+        let geometry = Geometry { view_box: ViewBox { x: 0.12, y: 0.0, z: 0.0 }, short_reach: true, ..geometry };
         let planes = &geometry.tiles[0].planes;
         // 96 pixels are searched sideways, and 2 up and down
         let band = geometry.intrinsics.fx * 0.12 * (planes[1].a - planes[0].a) - 96.0;
@@ -277,11 +279,12 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_of_a_photo_that_is_pruned_rightly_sees_nothing() {
-        // its largest parallax is shorter than pruning searches
-        let (photo, geometry) = wide(960);
-        let some = sample(&photo, &geometry).unwrap().unwrap();
-        assert_eq!((some.max_abs, some.share_off), (0, 0.0));
+    fn a_photo_that_is_pruned_rightly_shows_no_difference() {
+        for width in [960, 4000] {
+            let (photo, geometry) = wide(width);
+            let (all, some) = (verify(&photo, &geometry).unwrap(), sample(&photo, &geometry).unwrap().unwrap());
+            assert_eq!([all.max_abs, some.max_abs], [0, 0], "{width}: {all:?} {some:?}");
+        }
     }
 
     #[test]

@@ -121,7 +121,7 @@ pub struct PlaneError {
     pub missed_most_px: f64,
     /// Part of `mean_px` that label smoothing adds, beyond the error of each pixel's nearest plane.
     pub smoothing_px: f64,
-    /// Largest shift of any point by rounding planes to the container's grid of coefficients.
+    /// Largest shift of a pixel by rounding planes to the container's grid of coefficients, among 8 × 8 pixels of each tile.
     pub rounding_px: f64,
 }
 
@@ -167,6 +167,9 @@ pub struct ErrorFigures {
     pub planes: PlaneError,
     /// Effect of pruning; null if the photo has too few tiles for a quick sample and `verify-prune` is off.
     pub prune: Option<PruneError>,
+    /// Number of tiles whose hidden texels a camera of the view box may see past an edge more than 1664 pixels away, which pruning does not
+    /// search; views may show gaps there.
+    pub unsearched_tiles: usize,
     /// PSNR in dB of the container's photo against the one that the scene was made from; 99 if they are equal.
     pub codec_psnr: f64,
     /// PSNR in dB of the container's hidden colours against those that a network computed or a second picture showed; null if readers derive

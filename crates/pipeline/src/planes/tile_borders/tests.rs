@@ -9,10 +9,14 @@ fn fitted(map: &DisparityMap, grid: &Grid) -> Vec<Tile> {
 }
 
 fn met(map: &DisparityMap, grid: &Grid, target: f64, tiles: &[Tile]) -> Vec<Tile> {
-    let (mut moved, mut rounding) = (tiles.to_vec(), vec![0.0; tiles.len()]);
-    meet_at_borders(map, grid, target, &mut moved, &mut rounding);
-    // half a step for each coefficient
-    assert!(rounding.iter().all(|r| *r <= 1.5 * Plane::STEP + 1e-12), "{rounding:?}");
+    let mut moved = tiles.to_vec();
+    let mut before: Vec<Vec<Plane>> = tiles.iter().map(|t| t.planes.clone()).collect();
+    meet_at_borders(map, grid, target, &mut moved, &mut before);
+    for (plane, before) in moved.iter().flat_map(|t| &t.planes).zip(before.iter().flatten()) {
+        // half a step for each coefficient
+        assert!(largest_change(plane, before) <= 1.5 * Plane::STEP + 1e-12, "{plane:?} was {before:?}");
+        assert_eq!(*plane, before.quantised());
+    }
     moved
 }
 

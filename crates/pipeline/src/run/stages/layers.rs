@@ -116,6 +116,7 @@ fn count(report: &mut Report, geometry: &Geometry, tiles: &[Vec<TexturedLayer>],
     let full: usize = tiles.iter().zip(0..).map(|(layers, t)| layers.len() * geometry.grid.rect(t).area()).sum();
     let kept: usize = tiles.iter().flatten().map(|l| l.shape.class.iter().filter(|c| **c != 0).count()).sum();
     report.texels = kept;
+    report.error.unsearched_tiles = geometry.tiles_beyond_reach();
     report.left_out = LeftOut {
         planes: (report.tiles * placement.most as usize).saturating_sub(placed),
         tiles_not_refined: 0,

@@ -1,6 +1,6 @@
 //! Placement of the planes of all tiles.
 
-use tmpi_core::{DisparityMap, Geometry, Grid, Rect, Tile};
+use tmpi_core::{DisparityMap, Geometry, Grid, Plane, Rect, Tile};
 
 use super::{Prepared, WeightedDisparity};
 use crate::planes::{Method, Placement, Rounded, busy_share, discretisation_error, meet_at_borders, place_again, place_rounded};
@@ -100,18 +100,25 @@ impl Stage for Planes {
             context.report.budget = Some(budget);
         }
         let mut placement = options.placement(max_error, most_px);
-        let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles, matted: false };
+        let scene = |tiles| Geometry {
+            grid,
+            intrinsics: prepared.intrinsics,
+            view_box: options.view_box,
+            tiles,
+            matted: false,
+            short_reach: false,
+        };
         if let Some(last) = &mut self.last {
             placement.most = placement.most.min(most_planes(&grid)).min(last.most.unwrap_or(u32::MAX));
             return Ok(Placed { geometry: scene(last.place(map, &grid, &placement)), placement });
         }
         let confidence = map.confidence.as_deref();
-        let (mut tiles, mut rounding) = split_rounding(place_rounded(delta, confidence, &grid, &placement));
+        let (mut tiles, mut before) = split(place_rounded(delta, confidence, &grid, &placement));
         let most = most_planes(&grid);
         if most < placement.most && !readable(&grid, &tiles) {
             // small tiles on a large photo: use as few planes as readers accept in any photo of this grid
             placement.most = most;
-            (tiles, rounding) = split_rounding(place_rounded(delta, confidence, &grid, &placement));
+            (tiles, before) = split(place_rounded(delta, confidence, &grid, &placement));
         }
         let (pixels, count) = (u64::from(w) * u64::from(h), tiles.len() as u64);
         let placed: usize = tiles.iter().map(|t| t.planes.len()).sum();
@@ -121,10 +128,10 @@ impl Stage for Planes {
         if options.planes == PlaneCount::Auto && placed as u64 > count * u64::from(room) {
             // a large photo with almost only busy tiles: use fewer planes to stay within the memory limit
             placement.most = room;
-            (tiles, rounding) = split_rounding(place_rounded(delta, confidence, &grid, &placement));
+            (tiles, before) = split(place_rounded(delta, confidence, &grid, &placement));
         }
         if let (Method::Slanted, Some(target)) = (placement.method, placement.target) {
-            meet_at_borders(delta, &grid, target, &mut tiles, &mut rounding);
+            meet_at_borders(delta, &grid, target, &mut tiles, &mut before);
         }
         let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>().div_ceil(tiles.len().max(1));
         context.report.memory_bound_bytes = options.memory_with(&sizes, Some(w.max(h)), planes as u32);
@@ -134,15 +141,14 @@ impl Stage for Planes {
         let tiles = movement.of_planes(delta, &geometry);
         error.tile_px = tiles.iter().map(|t| (t.mean * 1e3).round() / 1e3).collect();
         error.planes = PlaneError { most_planes: placement.most, ..plane_error(&tiles, placement.target.map(|_| max_error)) };
-        let moves = rounding.iter().zip(0..).map(|(delta, i)| delta * movement.most(grid.rect(i)));
-        error.planes.rounding_px = moves.fold(0.0, f64::max);
+        error.planes.rounding_px = movement.of_rounding(&geometry, &before);
         Ok(Placed { geometry, placement })
     }
 }
 
-/// Tiles, and the largest rounding error of each one's planes, in δ.
-fn split_rounding(all: Vec<Rounded>) -> (Vec<Tile>, Vec<f64>) {
-    all.into_iter().map(|r| (r.tile, r.rounding)).unzip()
+/// Tiles, and the planes of each before rounding.
+fn split(all: Vec<Rounded>) -> (Vec<Tile>, Vec<Vec<Plane>>) {
+    all.into_iter().map(|r| (r.tile, r.before)).unzip()
 }
 
 /// Errors over all tiles, against a bound if there is one.

@@ -92,7 +92,7 @@ impl Pair {
         };
         let view_box = ViewBox { x: 0.2, y: 0.05, z: 0.0 };
         let tiles = (0..grid.tiles()).map(tile).collect();
-        Geometry { grid, intrinsics: Intrinsics::centred(W, H, 300.0), view_box, tiles, matted: false }
+        Geometry { grid, intrinsics: Intrinsics::centred(W, H, 300.0), view_box, tiles, matted: false, short_reach: false }
     }
 
     /// PSNR of the hidden colours of the strip, in the order of the masks, against the wall.
