@@ -232,7 +232,7 @@ mod tests {
     #[test]
     fn nothing_of_the_photo_is_seen_again_beyond_its_border() {
         for width in [12, 20, 32] {
-            let stripe = |x: u32| if x / width % 2 == 0 { 40 } else { 210_u8 };
+            let stripe = |x: u32| if (x / width).is_multiple_of(2) { 40 } else { 210_u8 };
             let mirrored: Vec<u8> = (8..96).map(stripe).collect();
             let continued = correlation(&row(&colours(200, 150, |x, _| stripe(x)), (8, 70), 88, LEFT), &mirrored);
             assert!(continued < 0.1, "stripes of {width}: {continued}");

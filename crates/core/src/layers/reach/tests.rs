@@ -239,8 +239,8 @@ fn rows_of_tiles_depend_on_whole_blocks_within_the_reach() {
     for reach in [2, FINE_REACH, 400] {
         let farthest = reach.max(FINE_REACH);
         let middle = pixel_rows(&grid, reach, &(20..22));
-        assert!(middle.start <= 20 * 56 - farthest && middle.start + BLOCK > 20 * 56 - farthest && middle.start % BLOCK == 0);
-        assert!(middle.end >= 21 * 56 + 64 + farthest && middle.end < 21 * 56 + 64 + farthest + BLOCK && middle.end % BLOCK == 0);
+        assert!(middle.start <= 20 * 56 - farthest && middle.start + BLOCK > 20 * 56 - farthest && middle.start.is_multiple_of(BLOCK));
+        assert!(middle.end >= 21 * 56 + 64 + farthest && middle.end < 21 * 56 + 64 + farthest + BLOCK && middle.end.is_multiple_of(BLOCK));
         assert_eq!(pixel_rows(&grid, reach, &(0..1)).start, 0);
         assert_eq!(pixel_rows(&grid, reach, &(rows - 1..rows)).end, 3000);
     }

@@ -4,6 +4,9 @@ use super::*;
 /// Of a pixel, for views of a photo 630 pixels wide.
 const TARGET: f64 = 1.0 / 71.0;
 
+/// δ at a pixel.
+type Surface<'a> = &'a dyn Fn(f32, f32) -> f32;
+
 fn fitted(map: &DisparityMap, grid: &Grid) -> Vec<Tile> {
     place(map, None, grid, &Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, TARGET))
 }
@@ -85,7 +88,7 @@ fn neighbours_on_one_surface_meet() {
     // what a plane cannot follow keeps a gap: tiles of a slope with ripples need one plane, those of a curved surface two
     let ripples = |x: f32, y: f32| 0.3 + 0.001 * x + 0.012 * (x / 9.0 + y / 31.0).sin() * (y / 7.0).cos();
     let curved = |x: f32, y: f32| 0.5 + 0.35 * (x / 90.0).sin() * (y / 70.0).cos();
-    let cases: [(&str, &dyn Fn(f32, f32) -> f32, f64); 2] = [("ripples", &ripples, 0.5), ("curved", &curved, 0.85)];
+    let cases: [(&str, Surface, f64); 2] = [("ripples", &ripples, 0.5), ("curved", &curved, 0.85)];
     for (name, delta, most) in cases {
         let (map, grid, before, after) = both(300, 200, delta);
         let [was, is] = [&before, &after].map(|tiles| gap(&grid, tiles));
@@ -98,7 +101,7 @@ fn neighbours_on_one_surface_meet() {
 fn no_tile_moves_beyond_its_bound() {
     let noise = |x: f32, y: f32| ((x * 12.9898 + y * 78.233).sin() * 43_758.547).fract().abs();
     let unknown = |x: f32, y: f32| if x < 30.0 || y as u32 % 50 == 7 { f32::NAN } else { noise(x, y) };
-    let cases: [(u32, u32, &dyn Fn(f32, f32) -> f32); 8] = [
+    let cases: [(u32, u32, Surface); 8] = [
         (150, 130, &noise),
         (150, 130, &|x, y| 0.5 + 0.02 * noise(x, y)),
         (150, 130, &unknown),
@@ -164,7 +167,9 @@ fn reference(grid: &Grid, tiles: &[Tile], matching: f64) -> Vec<f64> {
     let mut system = vec![vec![0.0; n + 1]; n];
     let mut square = |terms: &[(usize, f64)], aim: f64, weight: f64| {
         for (i, a) in terms {
-            terms.iter().for_each(|(j, b)| system[*i][*j] += weight * a * b);
+            for (j, b) in terms {
+                system[*i][*j] += weight * a * b;
+            }
             system[*i][n] += weight * a * aim;
         }
     };
@@ -190,7 +195,9 @@ fn reference(grid: &Grid, tiles: &[Tile], matching: f64) -> Vec<f64> {
         }
     }
     for (plane, pixels) in pixels.iter().enumerate() {
-        [1, 2].into_iter().for_each(|k| square(&[(3 * plane + k, 1.0)], 0.0, RIDGE.0 * pixels + RIDGE.1));
+        for k in [1, 2] {
+            square(&[(3 * plane + k, 1.0)], 0.0, RIDGE.0 * pixels + RIDGE.1);
+        }
     }
     for k in 0..n {
         let pivot = system[k].clone();
