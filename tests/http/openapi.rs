@@ -118,7 +118,8 @@ fn every_schema_and_parameter_is_described() {
     assert!(settings["idle"]["enum"].as_array().unwrap().contains(&"none".into()));
     assert!(settings["title"]["maxLength"] == 200 && settings["version"]["enum"] == serde_json::json!([1]));
     assert_eq!(document["paths"]["/v1/photos/{id}/exports"]["post"]["requestBody"]["required"], false);
-    let with_door: Value = serde_json::from_slice(&tmpi::server::openapi_of(&Limits::default(), true, &BasePath::default()).unwrap()).unwrap();
+    let with_door: Value =
+        serde_json::from_slice(&tmpi::server::openapi_of(&Limits::default(), true, &BasePath::default()).unwrap()).unwrap();
     assert!(document["paths"]["/metrics"].is_object() && with_door["paths"]["/metrics"].is_null(), "admin routes are on their listener");
     let of_strokes = &schemas["StrokesPatch"];
     assert_eq!(

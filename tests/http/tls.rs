@@ -181,6 +181,8 @@ fn many_requests_at_a_time_over_http_2() {
     runtime.block_on(async {
         let sender = second(server.addr, &mut h2::client::Builder::new()).await;
         let path = format!("/v1/photos/{id}/atlas");
+        // a client knows how many requests the server takes at a time from its first answer on
+        assert_eq!(fetch(&sender, asks("GET", "/healthz", "localhost")).await.0, 200);
         let many = (0..40).map(|_| fetch(&sender, asks("GET", &path, "localhost")));
         for (status, body) in futures_util::future::join_all(many).await {
             assert!(status == 200 && body == atlas);

@@ -13,7 +13,7 @@ const THIN: [usize; 2] = [4, 2];
 const PATIENCE: f64 = 6.0;
 /// Ridge on the slopes, so that thin clusters stay fronto-parallel: as a share of the cluster's weight, and as a second moment (weight in
 /// pixels times half tiles squared).
-pub(super) const RIDGE: (f64, f64) = (1e-4, 0.02);
+const RIDGE: (f64, f64) = (1e-4, 0.02);
 /// Steepest slope in δ per half tile (0.008 δ per pixel in 64-pixel tiles).
 const MAX_SLOPE: f64 = 0.256;
 

@@ -8,10 +8,7 @@ mod kernel;
 mod label_smoothing;
 mod reader_bounds;
 mod sample;
-mod tile_borders;
 mod warm_start;
-
-use std::cmp::Ordering;
 
 use rayon::prelude::*;
 
@@ -21,7 +18,6 @@ pub(crate) use k_planes::fit_points;
 pub use label_smoothing::{NEIGHBOUR_COST, smooth_labels};
 pub use sample::Samples;
 pub(crate) use sample::percentile_99;
-pub use tile_borders::meet_at_borders;
 use tmpi_core::{DisparityMap, Grid, Plane, Tile};
 pub use warm_start::{place_again, place_tile_from};
 
@@ -143,22 +139,13 @@ fn place_tile_rounded(samples: &Samples, placement: &Placement) -> Rounded {
     finish(samples, best, placement)
 }
 
-/// Largest difference of two planes anywhere on a tile, in δ: `u` and `v` run from −1 to 1, so the three differences add up in one of the
-/// tile's corners.
-fn largest_change(p: &Plane, q: &Plane) -> f64 {
-    (p.a - q.a).abs() + (p.b - q.b).abs() + (p.c - q.c).abs()
-}
-
-/// The order of a tile's planes, by disparity at its centre.
-fn far_to_near(p: &Plane, q: &Plane) -> Ordering {
-    p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c))
-}
-
 /// Rounds planes to the container's grid of coefficients, sorts them, labels the pixels and drops planes without pixels.
 fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Rounded {
-    let change = |[q, p]: &[Plane; 2]| largest_change(p, q);
+    // u and v run from -1 to 1, so the three differences add up in one of the tile's corners
+    let change = |[q, p]: &[Plane; 2]| (p.a - q.a).abs() + (p.b - q.b).abs() + (p.c - q.c).abs();
     let mut both: Vec<[Plane; 2]> = planes.into_iter().map(|p| [p.quantised(), p]).collect();
-    both.sort_by(|x, y| far_to_near(&x[0], &y[0]).then(change(y).total_cmp(&change(x))));
+    let order = |p: &Plane, q: &Plane| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c));
+    both.sort_by(|x, y| order(&x[0], &y[0]).then(change(y).total_cmp(&change(x))));
     both.dedup_by(|x, y| x[0] == y[0]);
     let planes: Vec<Plane> = both.iter().map(|[q, _]| *q).collect();
     let (mut nearest, mut error) = (Vec::new(), Vec::new());

@@ -3,7 +3,7 @@
 use tmpi_core::{DisparityMap, Geometry, Grid, Plane, Rect, Tile};
 
 use super::{Prepared, WeightedDisparity};
-use crate::planes::{Method, Placement, Rounded, busy_share, discretisation_error, meet_at_borders, place_again, place_rounded};
+use crate::planes::{Placement, Rounded, busy_share, discretisation_error, place_again, place_rounded};
 use crate::run::time_budget::Costs;
 use crate::run::{Budget, Context, MakeError, Parallax, PlaneCount, PlaneError, Sizes, Stage, TileError};
 use tmpi_core::container::{most_planes, readable};
@@ -129,9 +129,6 @@ impl Stage for Planes {
             // a large photo with almost only busy tiles: use fewer planes to stay within the memory limit
             placement.most = room;
             (tiles, before) = split(place_rounded(delta, confidence, &grid, &placement));
-        }
-        if let (Method::Slanted, Some(target)) = (placement.method, placement.target) {
-            meet_at_borders(delta, &grid, target, &mut tiles, &mut before);
         }
         let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>().div_ceil(tiles.len().max(1));
         context.report.memory_bound_bytes = options.memory_with(&sizes, Some(w.max(h)), planes as u32);
