@@ -182,7 +182,7 @@ describe('the whole program', () => {
     for (let i = 0; i < 4; i++) await page.keyboard.press('ArrowRight');
     // four steps to the right; earlier ones may be shown first
     await page.waitForFunction(() => /tx=0\.0[1-5]/.test(window.viewer.serverViews.shown));
-    assert.ok(await page.evaluate(() => document.querySelector('.tmpi-poster').naturalWidth > 0));
+    await page.waitForFunction(() => document.querySelector('.tmpi-poster').naturalWidth > 0);
     assert.deepEqual(errors, []);
     await context.close();
   });

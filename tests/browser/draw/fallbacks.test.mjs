@@ -11,8 +11,11 @@ describe('fallbacks', () => {
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
     const before = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
-    await page.evaluate(() => window.viewer.renderer.device.destroy());
-    await waitForMode(page, 'loading');
+    await page.evaluate(() => {
+      window.lost = window.viewer.renderer;
+      window.lost.device.destroy();
+    });
+    await page.waitForFunction(() => window.viewer.renderer && window.viewer.renderer !== window.lost);
     await waitForMode(page, 'gpu');
     const rebuilt = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
     assert.equal(fractionDifferent(before, rebuilt, WIDTH, HEIGHT, { levels: 0 }), 0);
