@@ -69,7 +69,7 @@ pub fn build(data: &[u8]) -> Option<Vec<u8>> {
     };
     let hidden = [None, None, Some(HiddenCodec::Png), Some(HiddenCodec::Jpeg(80))][usize::from(how >> 2 & 3)];
     let geometry = Geometry { matted: how >> 6 & 1 == 1, ..geometry };
-    let optional = OptionalSections { alpha: how >> 4 & 1 == 1 && !geometry.matted, hidden };
+    let optional = if geometry.matted { OptionalSections::default() } else { OptionalSections { alpha: how >> 4 & 1 == 1, hidden } };
     let mut scene = compose(photo.clone(), &geometry, texture(&photo, &geometry, geometry.masks()));
     if optional.alpha {
         scene.texels.alpha.iter_mut().filter(|a| (1..255).contains(*a)).step_by(3).for_each(|a| *a = 17);

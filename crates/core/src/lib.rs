@@ -13,7 +13,6 @@ pub mod simd;
 
 pub use layers::{
     Geometry, Inpainter, LayerMask, LayerMasks, Pyramid, SeenBackground, TexturedLayer, Tile, TileFrame, compose, grown, texture,
-    texture_with,
 };
 pub use scene::{
     Border, BorderColours, Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, Photo, Plane, Pose, Rect, Scene, SceneError, Texels,

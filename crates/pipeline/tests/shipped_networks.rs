@@ -176,7 +176,7 @@ fn refined(models: &Models, scene: &Scene, refine: Switch) -> [Layered; 2] {
     let mut prepared = Prepared { photo: scene.photo.clone(), intrinsics, format, uploaded: None, reduced: None, second_half: None };
     let map = WeightedDisparity { delta: scene.delta.clone(), confidence: None, given: true };
     let placed = job.run(&mut stages::Planes::default(), (&prepared, &map)).unwrap();
-    let layered = job.run(&mut stages::Layers::default(), (&mut prepared, placed, &map.delta)).unwrap();
+    let layered = job.run(&mut stages::Layers, (&mut prepared, placed, &map.delta)).unwrap();
     let before = layered.clone();
     [before, job.run(&mut stages::Refine, layered).unwrap()]
 }

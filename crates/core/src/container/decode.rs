@@ -7,9 +7,9 @@ use prost::Message;
 use super::decode_rows::TileLayers;
 use super::schema::{Codec, Index, Kind, Section};
 use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bounds, columns, hidden, label_bands, labels, planes, select_sections};
-use crate::layers::{Rows, Surface, inpainted, join, matte};
+use crate::layers::{Surface, join, texture_tiles};
 use crate::parallel;
-use crate::{Geometry, Grid, Intrinsics, LayerMask, LayerMasks, Photo, Scene, TexturedLayer, ViewBox};
+use crate::{Class, Geometry, Grid, Intrinsics, Layer, LayerMasks, Photo, Scene, TexturedLayer, ViewBox};
 
 /// All rows of tiles.
 const ALL_ROWS: Range<u32> = 0..u32::MAX;
@@ -140,16 +140,19 @@ pub(super) fn derive_layers(
     pictures: PictureDecoder,
 ) -> Result<TileLayers, ContainerError> {
     let shapes = geometry.masks_of(tiles.clone(), &surface, false);
-    let photo = Rows { top: surface.top(), rgb };
-    let mut textured = match find(index, Kind::Hidden) {
-        Some(section) => carried(index, body, section, shapes, pictures)?,
-        None => inpainted(geometry.grid, surface, rgb, tiles.start, shapes),
+    let has_hidden = find(index, Kind::Hidden).is_some();
+    let textured = if has_hidden {
+        let tile = |s: LayerMasks| s.layers.into_iter().map(|shape| TexturedLayer { shape, hidden: Vec::new() }).collect();
+        shapes.into_iter().map(tile).collect()
+    } else {
+        texture_tiles(geometry, surface, rgb, tiles.start, shapes)
     };
-    if geometry.matted {
-        matte(geometry, tiles.start, &mut textured, photo);
-    }
-    let (layers, mut texels) = join(tiles.start, textured);
+    let (mut layers, mut texels) = join(tiles.start, textured);
     refine_alpha(index, body, &mut texels.alpha)?;
+    let hidden = count_hidden(&mut layers, &texels.class);
+    if has_hidden {
+        texels.hidden = hidden_colours(index, body, &layers, &texels.class, hidden, pictures)?;
+    }
     Ok(TileLayers { layers, texels })
 }
 
@@ -260,8 +263,8 @@ pub(super) fn layer_geometry(
     (intrinsics, view_box): (Intrinsics, ViewBox),
     rows: &Range<u32>,
 ) -> Result<Geometry, ContainerError> {
-    if index.matted && find(index, Kind::Alpha).is_some() {
-        return Err(ContainerError::broken("a matted container must not carry alphas"));
+    if index.matted && [Kind::Alpha, Kind::Hidden].into_iter().any(|kind| find(index, kind).is_some()) {
+        return Err(ContainerError::broken("a matted container must not carry alphas or hidden colours"));
     }
     let count = index.planes as usize;
     bounds::planes(&grid, count)?;
@@ -302,37 +305,36 @@ fn refine_alpha(index: &Index, body: &[u8], alpha: &mut [u8]) -> Result<(), Cont
     Ok(())
 }
 
-/// Layers with the hidden colours that a container carries in `section`.
-fn carried(
-    index: &Index,
-    body: &[u8],
-    section: &Section,
-    shapes: Vec<LayerMasks>,
-    pictures: PictureDecoder,
-) -> Result<Vec<Vec<TexturedLayer>>, ContainerError> {
-    let mut count = 0;
-    let blocks = hidden::walk(&shapes, |_, _, _| count += 1);
-    let colours = if count == 0 { Vec::new() } else { hidden_colours(index, body, section, &shapes, (blocks, count), pictures)? };
-    let mut rest = colours.into_iter();
-    let mut layer = |shape: LayerMask| TexturedLayer { hidden: rest.by_ref().take(hidden::count(&shape.class)).collect(), shape };
-    Ok(shapes.into_iter().map(|s| s.layers.into_iter().map(&mut layer).collect()).collect())
+/// Sets the index of each layer's first hidden texel; returns the number of hidden texels.
+fn count_hidden(layers: &mut [Layer], class: &[u8]) -> usize {
+    let mut hidden = 0;
+    for l in layers {
+        l.first_hidden = hidden;
+        hidden += class[l.first_texel..l.first_texel + l.rect.area()].iter().filter(|&&c| c == Class::Hidden as u8).count();
+    }
+    hidden
 }
 
 fn hidden_colours(
     index: &Index,
     body: &[u8],
-    section: &Section,
-    shapes: &[LayerMasks],
-    (blocks, count): (usize, usize),
+    layers: &[Layer],
+    class: &[u8],
+    count: usize,
     pictures: PictureDecoder,
 ) -> Result<Vec<[u8; 3]>, ContainerError> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let s = find(index, Kind::Hidden).ok_or_else(|| ContainerError::broken("there is no section of hidden colours"))?;
     let columns = index.hidden_columns as usize;
+    let blocks = hidden::walk(layers, class, |_, _, _| {});
     if columns == 0 || index.hidden_blocks as usize != blocks {
         return Err(ContainerError::broken("hidden: wrong count of blocks"));
     }
     let side = |blocks: usize| u32::try_from(blocks * 8).map_err(|_| ContainerError::broken("hidden: more blocks than a picture can hold"));
     let most = (side(columns)?, side(blocks.div_ceil(columns))?);
-    let p = pictures(format(section)?, range(section, body)?, most)?;
+    let p = pictures(format(s)?, range(s, body)?, most)?;
     if p.width > most.0 || p.height > most.1 {
         return Err(ContainerError::broken("hidden: the picture is too large"));
     }
@@ -340,5 +342,5 @@ fn hidden_colours(
     if !fits {
         return Err(ContainerError::broken("hidden: the picture is too small"));
     }
-    Ok(hidden::read(shapes, count, columns, p.width as usize, &p.rgb))
+    Ok(hidden::read(layers, class, count, columns, p.width as usize, &p.rgb))
 }

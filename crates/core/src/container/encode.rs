@@ -21,7 +21,7 @@ const LARGE_LEVEL: i32 = 9;
 pub struct OptionalSections {
     /// Soft alphas, if a network has refined them.
     pub alpha: bool,
-    /// Hidden colours, if they differ from those of [`crate::Inpainter`]. Readers matte after they have read them.
+    /// Hidden colours, if they differ from those of [`crate::Inpainter`].
     pub hidden: Option<HiddenCodec>,
 }
 
@@ -55,7 +55,7 @@ pub enum HiddenCodec {
 /// container and the sizes of its sections.
 ///
 /// # Errors
-/// [`ContainerError::Encode`] if a codec fails, if a matted geometry is to carry alphas, or if the scene is of another geometry;
+/// [`ContainerError::Encode`] if a codec fails, or if a matted geometry is to carry alphas or hidden colours;
 /// [`ContainerError::Bound`] if the geometry exceeds a limit of readers; [`ContainerError::Broken`] if the planes are inconsistent.
 pub fn encode(
     geometry: &Geometry,
@@ -78,8 +78,8 @@ pub fn encode_in(
     optional: OptionalSections,
 ) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
     bounds::geometry(geometry)?;
-    if geometry.matted && optional.alpha {
-        return Err(ContainerError::Encode("a matted container must not carry alphas".into()));
+    if geometry.matted && optional != OptionalSections::default() {
+        return Err(ContainerError::Encode("a matted container must not carry alphas or hidden colours".into()));
     }
     let mut file = File::default();
     file.add(Kind::Photo, photo_file.format.codec(), photo_file.bytes.clone(), 0);
@@ -98,7 +98,20 @@ pub fn encode_in(
     if optional.alpha {
         file.add_packed(Kind::Alpha, &refined_alpha(geometry, scene))?;
     }
-    let (blocks, per_row) = optional.hidden.map_or(Ok((0, 0)), |how| file.add_hidden(geometry, scene, how))?;
+    let (mut blocks, mut per_row) = (0, 0);
+    if let Some(how) = optional.hidden {
+        blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
+        per_row = hidden::columns_for(blocks);
+        if blocks > 0 {
+            let (w, h, rgb) = hidden::paint(&scene.layers, &scene.texels.class, &scene.texels.hidden, blocks, per_row);
+            let (codec, picture) = match how {
+                HiddenCodec::Jpeg(quality) => (Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?),
+                HiddenCodec::Png => (Codec::Png, encode_lossless(ImageFormat::Png, w, h, &rgb)?),
+                HiddenCodec::Webp => (Codec::Webp, encode_lossless(ImageFormat::WebP, w, h, &rgb)?),
+            };
+            file.add(Kind::Hidden, codec, picture, 0);
+        }
+    }
     let (g, k, v) = (&scene.grid, &scene.intrinsics, &scene.view_box);
     let index = Index {
         width: g.width,
@@ -120,12 +133,6 @@ pub fn encode_in(
         sections: file.sections.clone(),
     };
     Ok(file.finish(&index))
-}
-
-/// Colours of the hidden texels of a scene that its container can carry: those that follow from the geometry alone, in order. Those of
-/// mattes follow from the photo, too. `None` if the scene is of another geometry.
-pub fn carried_colours(geometry: &Geometry, scene: &Scene) -> Option<Vec<[u8; 3]>> {
-    hidden::colours(&geometry.masks(), scene)
 }
 
 /// For each soft texel, the difference (mod 256) between its alpha and the alpha derived from the geometry; empty if all are 0.
@@ -168,25 +175,6 @@ impl File {
         if let Some(section) = self.sections.last_mut() {
             section.bands = bands;
         }
-    }
-
-    /// Adds the picture of hidden colours, if there are any. Returns its number of blocks, and of blocks per row.
-    fn add_hidden(&mut self, geometry: &Geometry, scene: &Scene, how: HiddenCodec) -> Result<(usize, usize), ContainerError> {
-        let shapes = geometry.masks();
-        let colours = hidden::colours(&shapes, scene);
-        let colours = colours.ok_or_else(|| ContainerError::Encode("hidden colours of another geometry".into()))?;
-        let blocks = hidden::walk(&shapes, |_, _, _| {});
-        let per_row = hidden::columns_for(blocks);
-        if blocks > 0 {
-            let (w, h, rgb) = hidden::paint(&shapes, &colours, blocks, per_row);
-            let (codec, picture) = match how {
-                HiddenCodec::Jpeg(quality) => (Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?),
-                HiddenCodec::Png => (Codec::Png, encode_lossless(ImageFormat::Png, w, h, &rgb)?),
-                HiddenCodec::Webp => (Codec::Webp, encode_lossless(ImageFormat::WebP, w, h, &rgb)?),
-            };
-            self.add(Kind::Hidden, codec, picture, 0);
-        }
-        Ok((blocks, per_row))
     }
 
     fn add_packed(&mut self, kind: Kind, raw: &[u8]) -> Result<(), ContainerError> {

@@ -1,8 +1,8 @@
 //! Scenes for the tests of several crates.
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc, reason = "for tests alone")]
 
-use super::{EncodedPhoto, HiddenCodec, OptionalSections, PhotoFormat, encode_in, encode_lossless};
-use crate::{Geometry, Grid, Intrinsics, Photo, Plane, Scene, TexturedLayer, Tile, ViewBox, compose, texture_with};
+use super::{EncodedPhoto, OptionalSections, PhotoFormat, encode_in, encode_lossless};
+use crate::{Geometry, Grid, Intrinsics, Photo, Plane, Scene, TexturedLayer, Tile, ViewBox, compose};
 
 /// Near discs in front of a slanted wall; some tiles have background planes, some alphas are refined, and hidden colours survive JPEG well.
 pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
@@ -59,18 +59,6 @@ pub fn matted((mut geometry, mut scene): (Geometry, Scene)) -> (Geometry, Scene)
     (geometry, scene)
 }
 
-/// The same scene with hidden colours that no reader can derive, and the mattes of its geometry.
-pub fn recoloured((geometry, scene): (Geometry, Scene)) -> (Geometry, Scene) {
-    let recolour = |tiles: &mut [Vec<TexturedLayer>]| {
-        for (i, colour) in (0u32..).zip(tiles.iter_mut().flatten().flat_map(|layer| &mut layer.hidden)) {
-            *colour = [(i % 251) as u8, (i / 251) as u8, 90];
-        }
-    };
-    let tiles = texture_with(&scene.photo, &geometry, geometry.masks(), recolour);
-    let scene = compose(scene.photo, &geometry, tiles);
-    (geometry, scene)
-}
-
 /// The same scene with planes that differ from tile to tile, as in photos. Use only its planes and labels.
 pub fn rough((mut geometry, scene): (Geometry, Scene)) -> (Geometry, Scene) {
     let planes = geometry.tiles.iter_mut().flat_map(|t| t.planes.iter_mut().chain(&mut t.background));
@@ -83,13 +71,8 @@ pub fn rough((mut geometry, scene): (Geometry, Scene)) -> (Geometry, Scene) {
 }
 
 /// A container with only photo (lossless PNG), planes, and labels in bands of `rows` rows of tiles or in a single stream.
-pub fn bare_in(rows: Option<u32>, made: &(Geometry, Scene)) -> Vec<u8> {
-    container_in(rows, made, None)
-}
-
-/// The same with a picture of hidden colours.
-pub fn container_in(rows: Option<u32>, (geometry, s): &(Geometry, Scene), hidden: Option<HiddenCodec>) -> Vec<u8> {
+pub fn bare_in(rows: Option<u32>, (geometry, s): &(Geometry, Scene)) -> Vec<u8> {
     let png = encode_lossless(image::ImageFormat::Png, s.photo.width, s.photo.height, s.photo.rgb.as_flattened()).unwrap();
     let photo = EncodedPhoto { bytes: png, format: PhotoFormat::Png };
-    encode_in(rows, geometry, s, &photo, OptionalSections { alpha: false, hidden }).unwrap().0
+    encode_in(rows, geometry, s, &photo, OptionalSections::default()).unwrap().0
 }

@@ -1,17 +1,13 @@
 //! The picture of hidden texels: 8×8 blocks, so that no block of a picture codec mixes two layers.
 
-#[cfg(feature = "write")]
-use crate::Scene;
-#[cfg(feature = "write")]
-use crate::layers::within;
-use crate::{Class, LayerMask, LayerMasks};
+use crate::{Class, Layer};
 
 /// Side of a block in pixels, the same as in JPEG.
 pub const BLOCK: u32 = 8;
 
 /// Calls `cell(x, y)` for every 8×8 cell of the photo's pixel grid that a layer overlaps, row by row, with the cell's corner in photo
 /// pixels.
-fn cells(l: &LayerMask, mut cell: impl FnMut(u32, u32)) {
+fn cells(l: &Layer, mut cell: impl FnMut(u32, u32)) {
     let r = l.rect;
     for y in (r.y / BLOCK * BLOCK..r.y + r.h).step_by(BLOCK as usize) {
         for x in (r.x / BLOCK * BLOCK..r.x + r.w).step_by(BLOCK as usize) {
@@ -21,72 +17,41 @@ fn cells(l: &LayerMask, mut cell: impl FnMut(u32, u32)) {
 }
 
 /// Calls `texel(index in the layer, index in the block)` for each hidden texel in a cell.
-fn hidden_in(l: &LayerMask, (x, y): (u32, u32), mut texel: impl FnMut(usize, usize)) {
+fn hidden_in(l: &Layer, class: &[u8], (x, y): (u32, u32), mut texel: impl FnMut(usize, usize)) {
     let r = l.rect;
     for py in y.max(r.y)..(y + BLOCK).min(r.y + r.h) {
         for px in x.max(r.x)..(x + BLOCK).min(r.x + r.w) {
             let at = (py - r.y) as usize * r.w as usize + (px - r.x) as usize;
-            if is_hidden(l.class[at]) {
+            if class[at] == Class::Hidden as u8 {
                 texel(at, ((py - y) * BLOCK + px - x) as usize);
             }
         }
     }
 }
 
-fn is_hidden(class: u8) -> bool {
-    class == Class::Hidden as u8
-}
-
 /// Visits the blocks of all layers in the schema's order and calls `place(block, index in the block, index of the hidden texel)` for each
 /// hidden texel. Returns the number of blocks.
-pub fn walk(shapes: &[LayerMasks], mut place: impl FnMut(usize, usize, usize)) -> usize {
-    let (mut blocks, mut first) = (0, 0);
+pub fn walk(layers: &[Layer], class: &[u8], mut place: impl FnMut(usize, usize, usize)) -> usize {
+    let mut blocks = 0;
     let mut rank: Vec<u32> = Vec::new();
-    for l in shapes.iter().flat_map(|s| &s.layers) {
+    for l in layers {
+        let class = &class[l.first_texel..l.first_texel + l.rect.area()];
         rank.clear();
-        rank.extend(l.class.iter().scan(0u32, |n, &c| {
+        rank.extend(class.iter().scan(0u32, |n, &c| {
             let at = *n;
-            *n += u32::from(is_hidden(c));
+            *n += u32::from(c == Class::Hidden as u8);
             Some(at)
         }));
         cells(l, |x, y| {
             let mut any = false;
-            hidden_in(l, (x, y), |at, in_block| {
+            hidden_in(l, class, (x, y), |at, in_block| {
                 any = true;
-                place(blocks, in_block, first + rank[at] as usize);
+                place(blocks, in_block, l.first_hidden + rank[at] as usize);
             });
             blocks += usize::from(any);
         });
-        first += count(&l.class);
     }
     blocks
-}
-
-/// Number of hidden texels.
-pub fn count(class: &[u8]) -> usize {
-    class.iter().filter(|c| is_hidden(**c)).count()
-}
-
-/// Colours of the hidden texels of `shapes`, the masks of a scene's geometry. Mattes add hidden texels to these, and enlarge layers. `None`
-/// if the scene is of another geometry.
-#[cfg(feature = "write")]
-pub fn colours(shapes: &[LayerMasks], scene: &Scene) -> Option<Vec<[u8; 3]>> {
-    let masks = || shapes.iter().flat_map(|s| &s.layers);
-    if masks().count() != scene.layers.len() {
-        return None;
-    }
-    let wanted: usize = masks().map(|l| count(&l.class)).sum();
-    let mut out = Vec::with_capacity(wanted);
-    for (mask, l) in masks().zip(&scene.layers) {
-        let class = scene.texels.class.get(l.first_texel..)?.get(..l.rect.area())?;
-        let colours = scene.texels.hidden.get(l.first_hidden..)?;
-        let hidden = (0u32..).zip(class).filter(|(_, c)| is_hidden(**c)).zip(colours);
-        out.extend(hidden.filter_map(|((i, _), colour)| {
-            let at = within(mask.rect, l.rect.x + i % l.rect.w, l.rect.y + i / l.rect.w)?;
-            is_hidden(mask.class[at]).then_some(*colour)
-        }));
-    }
-    (out.len() == wanted).then_some(out)
 }
 
 /// Number of blocks per row for an approximately square picture.
@@ -97,7 +62,7 @@ pub fn columns_for(blocks: usize) -> usize {
 
 /// Paints the blocks. Pixels without a hidden texel smoothly continue those with one, which is cheapest for a codec.
 #[cfg(feature = "write")]
-pub fn paint(shapes: &[LayerMasks], hidden: &[[u8; 3]], blocks: usize, columns: usize) -> (u32, u32, Vec<u8>) {
+pub fn paint(layers: &[Layer], class: &[u8], hidden: &[[u8; 3]], blocks: usize, columns: usize) -> (u32, u32, Vec<u8>) {
     let (w, h) = (columns * BLOCK as usize, blocks.div_ceil(columns.max(1)) * BLOCK as usize);
     let mut rgb = vec![128u8; w * h * 3];
     let mut current = (usize::MAX, Patch::default());
@@ -111,7 +76,7 @@ pub fn paint(shapes: &[LayerMasks], hidden: &[[u8; 3]], blocks: usize, columns: 
             rgb[(y * w + x) * 3..][..3].copy_from_slice(&c.map(|v| v.round() as u8));
         }
     };
-    walk(shapes, |block, place, index| {
+    walk(layers, class, |block, place, index| {
         if block != current.0 {
             close(&mut rgb, current.0, &mut current.1);
             current = (block, Patch::default());
@@ -179,9 +144,9 @@ impl Patch {
 }
 
 /// Extracts the hidden colours from a picture that is `width` pixels wide. The caller checks that it holds all blocks.
-pub fn read(shapes: &[LayerMasks], count: usize, columns: usize, width: usize, rgb: &[[u8; 3]]) -> Vec<[u8; 3]> {
+pub fn read(layers: &[Layer], class: &[u8], count: usize, columns: usize, width: usize, rgb: &[[u8; 3]]) -> Vec<[u8; 3]> {
     let mut hidden = vec![[0; 3]; count];
-    walk(shapes, |block, place, index| {
+    walk(layers, class, |block, place, index| {
         let (x, y) = (block % columns * 8 + place % 8, block / columns * 8 + place / 8);
         hidden[index] = rgb[y * width + x];
     });

@@ -37,7 +37,7 @@ pub use decode::{PictureDecoder, SectionInfo, decode_with, read_geometry, sectio
 pub use decode::{decode, read};
 pub use decode_rows::{PhotoRows, TileLayers, decode_rows, pixel_rows};
 #[cfg(feature = "write")]
-pub use encode::{HiddenCodec, OptionalSections, SectionBytes, carried_colours, encode, encode_in};
+pub use encode::{HiddenCodec, OptionalSections, SectionBytes, encode, encode_in};
 pub use label_bands::band_rows;
 pub use photo::{EncodedPhoto, PhotoFormat};
 #[cfg(feature = "pictures")]

@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used, reason = "test")]
 
-use super::fixtures::{bare_in, container_in, discs as scene, matted, recoloured, rough};
+use super::fixtures::{bare_in, discs as scene, matted, rough};
 use super::*;
 use crate::{Geometry, Grid, Inpainter, Scene};
 
@@ -86,7 +86,7 @@ fn golden_containers_stay_readable() {
     golden("v1_2", older, true);
     golden("v1_3", older, true);
     golden("v1_4", older, true);
-    golden("v1_5", || container_in(Some(1), &recoloured(matted(rough(scene(150, 100)))), Some(HiddenCodec::Png)), true);
+    golden("v1_5", || bare_in(Some(1), &matted(rough(scene(150, 100)))), true);
 }
 
 /// Seeds of the fuzzer: small containers of every kind, and their contents. `TMPI_BLESS=1` writes them.
@@ -99,7 +99,6 @@ fn seeds_of_the_fuzzer_are_readable() {
         ("pixel", bare(&scene(1, 1))),
         ("bands", bare_in(Some(1), &rough(scene(70, 130)))),
         ("matted", bare(&matted(scene(70, 40)))),
-        ("matted-carried", container_in(None, &recoloured(matted(scene(70, 40))), Some(HiddenCodec::Png))),
     ];
     if std::env::var_os("TMPI_BLESS").is_some() {
         let write = |kind: &str, name: &str, data: &[u8]| {
@@ -286,45 +285,18 @@ fn matting_is_a_flag_and_needs_no_section() {
 }
 
 #[test]
-fn a_matted_container_carries_no_alphas() {
+fn a_matted_container_carries_no_derived_sections() {
     use prost::Message;
     let (geometry, s) = matted(scene(70, 40));
     let photo = EncodedPhoto::from_photo(&s.photo, 90).unwrap();
-    let refined = OptionalSections { alpha: true, hidden: None };
-    assert!(matches!(encode(&geometry, &s, &photo, refined), Err(ContainerError::Encode(_))));
+    for optional in [OptionalSections { alpha: true, hidden: None }, OptionalSections { alpha: false, hidden: Some(HiddenCodec::Png) }] {
+        assert!(matches!(encode(&geometry, &s, &photo, optional), Err(ContainerError::Encode(_))));
+    }
     let carried = container(&scene(70, 40));
     let (mut index, body) = decode::split(&carried).unwrap();
     index.matted = true;
     let both = [select_sections::header(&carried[4..8], &index.encode_to_vec()), body.to_vec()].concat();
     assert!(decode(&both).unwrap_err().to_string().contains("matted"));
-}
-
-#[test]
-fn hidden_colours_of_a_matted_container_are_read_before_it_is_matted() {
-    for made in [matted(scene(150, 100)), matted(rough(scene(150, 300))), matted(scene(1, 1))] {
-        let derived = decode(&bare(&made)).unwrap();
-        let (geometry, want) = recoloured(made);
-        for (how, format) in [(HiddenCodec::Png, PhotoFormat::Png), (HiddenCodec::Webp, PhotoFormat::WebP)] {
-            let bytes = container_in(Some(1), &(geometry.clone(), want.clone()), Some(how));
-            assert_eq!(decode(&bytes).unwrap(), want);
-            // browsers decode the picture themselves
-            let section = sections(&bytes).unwrap().into_iter().find(|s| s.kind == "hidden");
-            let file = section.map(|s| &bytes[s.offset as usize..(s.offset + s.length) as usize]);
-            let picture = file.map(|file| decode_picture(format, file, (MAX_SIDE, MAX_SIDE)).unwrap());
-            let photo = PhotoRows { width: want.photo.width, height: want.photo.height, top: 0, rgb: want.photo.rgb.clone() };
-            let rows = decode_rows(&bytes, &(0..geometry.grid.rows()), &photo, picture.as_ref()).unwrap();
-            assert_eq!((&rows.layers, &rows.texels), (&want.layers, &want.texels));
-        }
-        // mattes are the same as with derived colours: only what the masks hide has another colour
-        assert_eq!((&want.layers, &want.texels.class, &want.texels.alpha), (&derived.layers, &derived.texels.class, &derived.texels.alpha));
-        let [own, theirs] = [&want, &derived].map(|s| carried_colours(&geometry, s).unwrap());
-        let off = |a: &[[u8; 3]], b: &[[u8; 3]]| a.iter().zip(b).filter(|(a, b)| a != b).count();
-        assert!(own.len() < want.texels.hidden.len() || want.photo.width == 1);
-        assert_eq!(off(&own, &theirs), off(&want.texels.hidden, &derived.texels.hidden));
-        assert!(own.iter().zip(0u32..).all(|(c, i)| *c == [(i % 251) as u8, (i / 251) as u8, 90]));
-    }
-    let ((geometry, _), (_, other)) = (scene(70, 40), scene(150, 100));
-    assert_eq!(carried_colours(&geometry, &other), None);
 }
 
 #[test]

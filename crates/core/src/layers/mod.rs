@@ -19,13 +19,11 @@ pub(crate) use dilation::{Dilation, dilate};
 pub(crate) use inpaint::CONTEXT;
 pub use inpaint::{Inpainter, Pyramid};
 pub use masks::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown};
-#[cfg(feature = "write")]
-pub(crate) use matting::within;
 pub(crate) use matting::{Rows, matte};
 pub use reach::work_of;
 pub(crate) use reach::{farthest, pixel_rows};
 pub use seen_background::SeenBackground;
 pub(crate) use seen_background::{MAX_FRAMES, STEADY};
 pub use surface::Surface;
-pub use texture::{TexturedLayer, compose, texture, texture_with};
-pub(crate) use texture::{inpainted, join};
+pub use texture::{TexturedLayer, compose, texture};
+pub(crate) use texture::{join, texture_tiles};

@@ -57,7 +57,7 @@ impl Surface {
     }
 
     /// Index of the first row.
-    pub(crate) const fn top(&self) -> u32 {
+    pub(super) const fn top(&self) -> u32 {
         self.top
     }
 

@@ -1,7 +1,7 @@
 //! Layers with colours, and their composition into a scene (paper, section 3.2).
 
 use super::{Geometry, Inpainter, LayerMask, LayerMasks, Rows, Surface, matte};
-use crate::scene::{Grid, Layer, Photo, Scene, Texels};
+use crate::scene::{Layer, Photo, Scene, Texels};
 
 /// A layer with the colours of its hidden texels.
 #[derive(Clone, Debug)]
@@ -14,30 +14,25 @@ pub struct TexturedLayer {
 
 /// Colours the hidden texels of all layers from the photo's pixels at or behind each layer. Mattes depth borders if `geometry.matted`.
 pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
-    texture_with(photo, geometry, shapes, |_| {})
+    texture_tiles(geometry, geometry.surface(), &photo.rgb, 0, shapes)
 }
 
-/// Like [`texture`], but `recolour` may change the inpainted colours before depth borders are matted. A container must carry such colours;
-/// readers matte after they have read them.
-pub fn texture_with(
-    photo: &Photo,
+/// Like [`texture`] for some tiles from index `first` on. `surface` and `rgb` cover the same rows, all that these tiles depend on.
+pub(crate) fn texture_tiles(
     geometry: &Geometry,
+    surface: Surface,
+    rgb: &[[u8; 3]],
+    first: u32,
     shapes: Vec<LayerMasks>,
-    recolour: impl FnOnce(&mut [Vec<TexturedLayer>]),
 ) -> Vec<Vec<TexturedLayer>> {
-    let mut tiles = inpainted(geometry.grid, geometry.surface(), &photo.rgb, 0, shapes);
-    recolour(&mut tiles);
+    let photo = Rows { top: surface.top(), rgb };
+    let colours = Inpainter::with_surface(geometry.grid, surface, rgb).fill_tiles(first, &shapes);
+    let tile = |(s, c): (LayerMasks, Vec<_>)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect();
+    let mut tiles: Vec<Vec<TexturedLayer>> = shapes.into_iter().zip(colours).map(tile).collect();
     if geometry.matted {
-        matte(geometry, 0, &mut tiles, Rows { top: 0, rgb: &photo.rgb });
+        matte(geometry, first, &mut tiles, photo);
     }
     tiles
-}
-
-/// Inpaints the layers of some tiles from index `first` on. `surface` and `rgb` cover the same rows, all that these tiles depend on.
-pub(crate) fn inpainted(grid: Grid, surface: Surface, rgb: &[[u8; 3]], first: u32, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
-    let colours = Inpainter::with_surface(grid, surface, rgb).fill_tiles(first, &shapes);
-    let tile = |(s, c): (LayerMasks, Vec<_>)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect();
-    shapes.into_iter().zip(colours).map(tile).collect()
 }
 
 /// Joins the textured layers of all tiles into a scene.

@@ -27,14 +27,13 @@ pub fn make(
     let estimated = matches!(source, Source::Network) && options.stereo != Stereo::Rgbd;
     let mut prepared = job.run(&mut Prepare, (photo, estimated))?;
     let source = source.or_half(prepared.second_half.take(), options.stereo);
-    let mut depth_stage = Depth::default();
-    let map = job.run(&mut depth_stage, (&prepared.photo, source))?;
+    let map = job.run(&mut Depth::default(), (&prepared.photo, source))?;
     let map = job.run(&mut Denoise, (&prepared.photo, map))?;
     let before_strokes = (!options.strokes.is_empty()).then(|| strokes::to_keep(&map.delta));
     let map = if options.strokes.is_empty() { map } else { job.run(&mut Strokes, (&prepared.photo, map))? };
     let map = job.run(&mut Snap, (&prepared.photo, map))?;
     let placed = job.run(&mut Planes::default(), (&prepared, &map))?;
-    let layered = job.run(&mut Layers::with_second(depth_stage.take_second()), (&mut prepared, placed, &map.delta))?;
+    let layered = job.run(&mut Layers, (&mut prepared, placed, &map.delta))?;
     let layered = job.run(&mut Refine, layered)?;
     let encoded = job.run(&mut Encode, layered)?;
     job.run(&mut Verify, (&prepared.photo, &encoded))?;

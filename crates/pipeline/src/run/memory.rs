@@ -26,14 +26,11 @@ const PHOTO: u64 = 3;
 /// Bytes for the network Θ, with those per pixel of the map that it denoises.
 const THETA: u64 = 64 << 20;
 const DENOISED: u64 = 40;
-/// Bytes per pixel of a layer if the container carries hidden colours, of the network Ψ or of a second picture, or if pruning is verified on
-/// views of the whole photo.
-const CARRIED: u64 = 8;
+/// Bytes per pixel of a layer if the network Ψ refines it, or if pruning is verified on views of the whole photo.
+const REFINED: u64 = 8;
 const VERIFIED: u64 = 32;
-/// Bytes for measuring depth against a second picture of any size, because matching runs at its own size; and per pixel of the photo, for the
-/// picture itself, which is kept until hidden texels have taken its colours. Its sides may differ from the photo's by 3 %.
-const STEREO: u64 = 84 << 20;
-const SECOND: u64 = 4;
+/// Bytes for measuring depth against a second picture of any size: matching runs at its own size.
+const STEREO: u64 = 80 << 20;
 /// A photo is not reduced below this number of pixels to fit into memory: about as many as a screen has.
 const MIN_PIXELS: u64 = 1_500_000;
 /// Planes per tile, without background planes, that must fit into memory with [`PlaneCount::Auto`]. More planes are placed only if they
@@ -42,37 +39,28 @@ const MIN_PLANES: u32 = 2;
 
 impl Options {
     /// Upper bound in bytes of the memory for making a scene of `pixels` pixels and `tiles` tiles, with a mean of `planes` planes per tile
-    /// plus a background plane. `second`: depth is measured against a second picture.
-    fn scene_bytes(&self, second: bool, pixels: u64, tiles: u64, planes: u32) -> u64 {
-        self.photo_bytes(second, pixels) + (u64::from(planes) + 1) * self.layer_bytes(second, pixels, tiles)
+    /// plus a background plane.
+    fn scene_bytes(&self, pixels: u64, tiles: u64, planes: u32) -> u64 {
+        self.photo_bytes(pixels) + (u64::from(planes) + 1) * self.layer_bytes(pixels, tiles)
     }
 
     /// The part of it that does not depend on planes.
-    fn photo_bytes(&self, second: bool, pixels: u64) -> u64 {
+    fn photo_bytes(&self, pixels: u64) -> u64 {
         let theta = if self.denoise == Denoise::Theta { THETA + pixels * DENOISED } else { 0 };
-        let second = if second { STEREO + pixels * SECOND } else { 0 };
-        BASE + pixels * PIXEL + theta + second
+        BASE + pixels * PIXEL + theta
     }
 
     /// The part of it for one layer per tile.
-    fn layer_bytes(&self, second: bool, pixels: u64, tiles: u64) -> u64 {
-        let carried = if second || self.refine == Switch::On { CARRIED } else { 0 };
+    fn layer_bytes(&self, pixels: u64, tiles: u64) -> u64 {
+        let refined = if self.refine == Switch::On { REFINED } else { 0 };
         let verified = if self.verify_prune { VERIFIED } else { 0 };
-        pixels * (PLANE + carried + verified) + tiles * LAYER
+        pixels * (PLANE + refined + verified) + tiles * LAYER
     }
 
-    /// The most planes per tile, without background planes, that fit into `memory` bytes; at least 1. The scene has `pixels` pixels and
-    /// `tiles` tiles, and is made from pictures of these sizes.
-    pub fn most_planes(&self, sizes: &Sizes, pixels: u64, tiles: u64, memory: u64) -> u32 {
-        let second = self.measures(sizes);
-        let layers = memory.saturating_sub(self.photo_bytes(second, pixels)) / self.layer_bytes(second, pixels, tiles).max(1);
+    /// The most planes per tile, without background planes, that fit into `memory` bytes; at least 1.
+    pub fn most_planes(&self, pixels: u64, tiles: u64, memory: u64) -> u32 {
+        let layers = memory.saturating_sub(self.photo_bytes(pixels)) / self.layer_bytes(pixels, tiles).max(1);
         u32::try_from(layers.saturating_sub(1)).unwrap_or(u32::MAX).max(1)
-    }
-
-    /// Whether depth is measured against a second picture.
-    fn measures(&self, sizes: &Sizes) -> bool {
-        let halves = matches!(self.stereo, Stereo::LeftRight | Stereo::TopBottom);
-        halves || matches!(sizes.extra, Some(ExtraPicture::SecondPicture(_)))
     }
 
     /// Upper bound in bytes of the memory for making a photo from pictures of these sizes. With [`PlaneCount::Auto`], it assumes 2 planes
@@ -93,7 +81,11 @@ impl Options {
     /// [`Options::memory`] with a longest side of at most `side` pixels and a mean of `planes` planes per tile, without background planes.
     pub fn memory_with(&self, sizes: &Sizes, side: Option<u32>, planes: u32) -> u64 {
         let (w, h) = reduced_size(self.photo_size(sizes.file), side);
-        let made = self.scene_bytes(self.measures(sizes), area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
+        let made = self.scene_bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
+        let halves = matches!(self.stereo, Stereo::LeftRight | Stereo::TopBottom);
+        let measures = halves || matches!(sizes.extra, Some(ExtraPicture::SecondPicture(_)));
+        // decoded pictures are freed before planes are placed
+        let made = made + if measures { STEREO } else { 0 };
         let decoded = |size: (u32, u32)| if size == (w, h) { 0 } else { decoding_bytes(size) + area((w, h)) * PHOTO };
         made.max(decoded(sizes.file)).max(sizes.extra.map_or(0, |extra| decoded(extra.size())))
     }
@@ -194,10 +186,10 @@ mod tests {
         let of = |change: fn(&mut Options)| {
             let mut options = Options::default();
             change(&mut options);
-            options.scene_bytes(false, 1000, 10, 2) - Options::default().scene_bytes(false, 1000, 10, 2)
+            options.scene_bytes(1000, 10, 2) - Options::default().scene_bytes(1000, 10, 2)
         };
         // two planes and a background plane
-        assert_eq!([of(|o| o.verify_prune = true), of(|o| o.refine = Switch::On)], [3000 * VERIFIED, 3000 * CARRIED]);
+        assert_eq!([of(|o| o.verify_prune = true), of(|o| o.refine = Switch::On)], [3000 * VERIFIED, 3000 * REFINED]);
         assert_eq!(of(|o| o.denoise = Denoise::Theta), THETA + 1000 * DENOISED);
     }
 
@@ -205,11 +197,10 @@ mod tests {
     fn most_planes_fit_and_one_more_does_not() {
         for (pixels, tiles) in [(500_000, 165), (12_000_000, 3888), (50_000_000, 16_000), (2_000_000, 40_775)] {
             for memory in [1_u64 << 30, 6 << 30, 20 << 30] {
-                for (options, second) in [(Options::default(), false), (Options::default(), true), (costly(), false)] {
-                    let sizes = if second { with_eye((80, 60), (80, 60)) } else { Sizes::of_photo((80, 60)) };
-                    let most = options.most_planes(&sizes, pixels, tiles, memory);
-                    assert!(most == 1 || options.scene_bytes(second, pixels, tiles, most) <= memory);
-                    assert!(options.scene_bytes(second, pixels, tiles, most + 1) > memory);
+                for options in [Options::default(), costly()] {
+                    let most = options.most_planes(pixels, tiles, memory);
+                    assert!(most == 1 || options.scene_bytes(pixels, tiles, most) <= memory);
+                    assert!(options.scene_bytes(pixels, tiles, most + 1) > memory);
                 }
             }
         }
@@ -257,13 +248,11 @@ mod tests {
     fn measuring_counts_wherever_the_second_picture_is() {
         let (auto, eye) = (Options::default(), (4000, 3000));
         let alone = auto.memory(&Sizes::of_photo(eye));
-        // two planes and a background plane
-        let measured = alone + STEREO + 12_000_000 * (SECOND + 3 * CARRIED);
-        assert_eq!(auto.memory(&with_eye(eye, eye)), measured);
+        assert_eq!(auto.memory(&with_eye(eye, eye)), alone + STEREO);
         let halves = |stereo| Options { stereo, ..Options::default() };
-        assert_eq!(halves(Stereo::LeftRight).memory(&Sizes::of_photo((8000, 3000))), measured);
+        assert_eq!(halves(Stereo::LeftRight).memory(&Sizes::of_photo((8000, 3000))), alone + STEREO);
         assert_eq!(halves(Stereo::Rgbd).memory(&Sizes::of_photo((8000, 3000))), alone);
-        assert_eq!(halves(Stereo::TopBottom).memory(&Sizes::of_photo((4000, 6000))), measured);
+        assert_eq!(halves(Stereo::TopBottom).memory(&Sizes::of_photo((4000, 6000))), alone + STEREO);
         // `max_size` applies to one half, but both halves are decoded
         let small = Options { max_size: Some(1000), ..halves(Stereo::LeftRight) };
         assert_eq!(small.memory(&Sizes::of_photo((8000, 3000))), decoding_bytes((8000, 3000)) + 750_000 * PHOTO);

@@ -172,8 +172,7 @@ pub struct ErrorFigures {
     pub unsearched_tiles: usize,
     /// PSNR in dB of the container's photo against the one that the scene was made from; 99 if they are equal.
     pub codec_psnr: f64,
-    /// PSNR in dB of the container's hidden colours against those that a network computed or a second picture showed; null if readers derive
-    /// hidden colours.
+    /// PSNR in dB of the container's hidden colours against those that a network computed; null if readers derive hidden colours.
     pub hidden_psnr: Option<f64>,
     /// PSNR in dB of the reference view, drawn from what a reader gets, against the photo; 99 if they are equal.
     pub identity_psnr: f64,

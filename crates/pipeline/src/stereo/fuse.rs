@@ -59,11 +59,6 @@ pub fn fill(measured: &mut [f32], estimate: &[f32], w: usize) -> f64 {
     1.0 - known.len() as f64 / measured.len().max(1) as f64
 }
 
-/// Whether a gap of so many pixels in a row may be hidden from the other eye, by the step of disparity across it.
-pub(super) fn is_hidden(gap: usize, step: f32) -> bool {
-    gap as f32 <= HIDDEN.0 * step.abs() + HIDDEN.1
-}
-
 /// Fills gaps where a nearer surface hides the scene from the other eye with the farther of the two sides.
 fn fill_hidden(measured: &mut [f32], w: usize) {
     for row in measured.chunks_exact_mut(w) {
@@ -72,11 +67,12 @@ fn fill_hidden(measured: &mut [f32], w: usize) {
             if !row[x].is_finite() {
                 continue;
             }
-            if let Some(l) = left.filter(|l| x - l > 1)
-                && is_hidden(x - l - 1, row[x] - row[l])
-            {
-                let far = row[l].min(row[x]);
-                row[l + 1..x].fill(far);
+            if let Some(l) = left.filter(|l| x - l > 1) {
+                let (gap, step) = ((x - l - 1) as f32, (row[x] - row[l]).abs());
+                if gap <= HIDDEN.0 * step + HIDDEN.1 {
+                    let far = row[l].min(row[x]);
+                    row[l + 1..x].fill(far);
+                }
             }
             left = Some(x);
         }

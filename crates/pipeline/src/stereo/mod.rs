@@ -1,8 +1,7 @@
 //! Measured depth: a second view of the scene, from beside the first, gives the distance of each point that both show.
 //!
 //! The second picture is [rectified](rectify) to the rows of the first and matched with it [semi-globally](sgm) by [census](census).
-//! Disparities that both directions agree on are [fused](fuse) with the network's estimate. The [second eye](SecondEye) also shows what is
-//! hidden from the first.
+//! Disparities that both directions agree on are [fused](fuse) with the network's estimate.
 
 pub mod census;
 pub mod fuse;
@@ -10,7 +9,6 @@ mod halves;
 #[cfg(test)]
 mod malformed_files;
 pub mod rectify;
-mod second_eye;
 pub mod sgm;
 #[cfg(test)]
 mod tests;
@@ -19,8 +17,7 @@ use tmpi_core::{DisparityMap, Photo};
 
 use self::census::{Grey, census};
 pub use self::halves::{Halves, Stereo};
-use self::rectify::{Model, Rectified};
-pub use self::second_eye::SecondEye;
+use self::rectify::Rectified;
 use self::sgm::{Range, Views};
 use crate::depth;
 use crate::photo::{Filter, resample, working_size};
@@ -109,19 +106,6 @@ pub struct StereoFigures {
     pub match_ms: f64,
     /// Milliseconds for fusing with the network's estimate.
     pub fuse_ms: f64,
-    /// Milliseconds for matching the second picture with the first, which tells what only the second shows.
-    #[serde(default)]
-    pub second_ms: f64,
-    /// Factor, mean over the channels, that brings the second picture to the exposure of the first.
-    #[serde(default)]
-    pub gain: f64,
-    /// Number of hidden texels, before mattes add some.
-    #[serde(default)]
-    pub hidden: usize,
-    /// Number of hidden texels that the second picture shows. If it shows too few, the container carries no hidden colours, and
-    /// `bytes.hidden` is 0.
-    #[serde(default)]
-    pub hidden_seen: usize,
 }
 
 /// Disparities of a pair.
@@ -131,10 +115,6 @@ pub struct Measured {
     height: u32,
     /// In pixels at this size; NaN where unmeasured.
     disparity: Vec<f32>,
-    /// The same for the pixels of the rectified second picture.
-    second: Vec<f32>,
-    model: Model,
-    gains: [f64; 3],
     /// The cameras stood side by side and looked in the same direction, as far as rows show.
     parallel: bool,
     figures: StereoFigures,
@@ -149,8 +129,6 @@ pub struct FusedDisparity {
     pub own: Option<DisparityMap>,
     /// Figures for the report.
     pub figures: StereoFigures,
-    /// Where the second picture shows points of the first.
-    pub second: SecondEye,
 }
 
 /// Measures the disparity of the first picture of a pair against the second.
@@ -182,7 +160,7 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, StereoError> {
     }
     range = (range.0 * f64::from(size.0), range.1 * f64::from(size.0));
     let range = Range::holding(range.0.floor() as i32, range.1.ceil() as i32);
-    let disparity = matched([&pair[0], &pair[1]], range, SPECK);
+    let disparity = matched(&pair, range, SPECK);
     let share = share(&disparity);
     if share < ENOUGH {
         return Err(StereoError::Few { share });
@@ -190,9 +168,6 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, StereoError> {
     if percentile(&disparity, 0.99) - percentile(&disparity, 0.01) < PARALLAX {
         return Err(StereoError::NoParallax);
     }
-    let match_ms = clock.ms() - rectify_ms;
-    let opposite = matched([&pair[1], &pair[0]], range.opposite(), SPECK);
-    let gains = second_eye::gains(first, second, &model, (size.0 as usize, size.1 as usize), &disparity);
     let scale = f64::from(first.width) / f64::from(size.0);
     let figures = StereoFigures {
         measured: share,
@@ -200,20 +175,17 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, StereoError> {
         rows_px: after_px * scale,
         width: size.0,
         rectify_ms,
-        match_ms,
-        second_ms: clock.ms() - rectify_ms - match_ms,
-        gain: gains.iter().sum::<f64>() / 3.0,
+        match_ms: clock.ms() - rectify_ms,
         ..StereoFigures::default()
     };
-    let parallel = rectified.is_some() && model == Model::default();
-    let second = opposite.into_iter().map(|d| -d).collect();
-    Ok(Measured { width: size.0, height: size.1, disparity, second, model, gains, parallel, figures })
+    let parallel = rectified.is_some() && model == rectify::Model::default();
+    Ok(Measured { width: size.0, height: size.1, disparity, parallel, figures })
 }
 
 impl Measured {
     /// Disparity at the size of `photo`. `estimate`, at the photo's size, fills what was not measured.
     pub fn fuse(self, photo: &Photo, estimate: &DisparityMap) -> FusedDisparity {
-        let Self { width, height, mut disparity, mut second, model, gains, parallel, mut figures } = self;
+        let Self { width, height, mut disparity, parallel, mut figures } = self;
         let clock = Clock::start();
         let from = (estimate.width, estimate.height);
         // a non-finite estimate lies at infinity, as everywhere
@@ -221,7 +193,7 @@ impl Measured {
         let estimate = resample(&estimate.delta, from, (width, height), Filter::Triangle, finite, |[v]| v);
         figures.crossed = fuse::is_crossed(&disparity, &estimate);
         if figures.crossed {
-            for d in disparity.iter_mut().chain(&mut second) {
+            for d in &mut disparity {
                 *d = -*d;
             }
         }
@@ -237,18 +209,8 @@ impl Measured {
         let small = DisparityMap { width, height, delta };
         let own = (width, height) == (photo.width, photo.height);
         let map = if own { small.clone() } else { depth::resized(&small, photo.width, photo.height) };
-        second_eye::fill_hidden(&mut second, width as usize);
-        let second = SecondEye {
-            first: (photo.width, photo.height),
-            size: (width as usize, height as usize),
-            model,
-            disparity: second,
-            scale: (f64::from(infinity), f64::from(near - infinity)),
-            crossed: figures.crossed,
-            gains,
-        };
         figures.fuse_ms = clock.ms();
-        FusedDisparity { map, own: (!own).then_some(small), figures, second }
+        FusedDisparity { map, own: (!own).then_some(small), figures }
     }
 }
 
@@ -260,9 +222,9 @@ fn grey(photo: &Photo, size: (u32, u32)) -> Grey {
 }
 
 /// Disparity of the first of a pair, without specks.
-fn matched(pair: [&Grey; 2], range: Range, speck: f64) -> Vec<f32> {
+fn matched(pair: &[Grey; 2], range: Range, speck: f64) -> Vec<f32> {
     let (width, height) = (pair[0].width, pair[0].height);
-    let [own, other] = pair.map(census);
+    let [own, other] = [census(&pair[0]), census(&pair[1])];
     let mut disparity = sgm::disparity(&Views { width, height, grey: &pair[0].values, own: &own, other: &other }, range);
     let least = ((width * height) as f64 * speck).ceil() as usize;
     fuse::drop_specks(&mut disparity, width, least.max(MIN_SPECK));
@@ -275,7 +237,7 @@ fn range(pair: &[Grey; 2]) -> Option<(f64, f64)> {
     let small = [rectify::reduced(&pair[0], by), rectify::reduced(&pair[1], by)];
     let width = small[0].width as f64;
     let side = (width * SIDES).ceil() as i32;
-    let disparity = matched([&small[0], &small[1]], Range::holding(-side, side), SMALL_SPECK);
+    let disparity = matched(&small, Range::holding(-side, side), SMALL_SPECK);
     if share(&disparity) < ENOUGH / 2.0 {
         return None;
     }

@@ -70,12 +70,6 @@ impl Model {
         -self.roll * v + self.scale * u + self.yaw * u * u + self.pitch * u * v
     }
 
-    /// Position in the second picture of a position in the rectified one, both in pixels of pictures of this size.
-    pub fn place(&self, (x, y): (f64, f64), size: (usize, usize)) -> (f64, f64) {
-        let ((u, v), width) = (centred((x, y), size), size.0 as f64);
-        (x + self.right(u, v) * width, y + self.down(u, v) * width)
-    }
-
     /// Resamples the second picture to the rows of the first.
     pub fn rectified(&self, second: &Grey) -> Grey {
         let (w, h) = (second.width, second.height);
@@ -85,7 +79,9 @@ impl Model {
         let mut values = vec![0; w * h];
         values.par_chunks_exact_mut(w).enumerate().for_each(|(y, row)| {
             for (x, out) in row.iter_mut().enumerate() {
-                *out = at(second, self.place((x as f64, y as f64), (w, h)));
+                let (u, v) = centred((x as f64, y as f64), (w, h));
+                let place = (x as f64 + self.right(u, v) * w as f64, y as f64 + self.down(u, v) * w as f64);
+                *out = at(second, place);
             }
         });
         Grey { values, ..*second }

@@ -42,11 +42,6 @@ impl Range {
     pub fn holding(low: i32, high: i32) -> Self {
         Self { first: low, count: ((high - low).max(0) as usize + 1).next_multiple_of(STEP) }
     }
-
-    /// The range of the same positions, seen from the other picture.
-    pub const fn opposite(self) -> Self {
-        Self { first: 1 - self.first - self.count as i32, ..self }
-    }
 }
 
 /// Input of matching: brightness of a picture, and the census transforms of it and of the other, all of one size.

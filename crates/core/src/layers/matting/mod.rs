@@ -133,7 +133,7 @@ impl Near<'_> {
 }
 
 /// Index of a pixel in a rectangle; `None` if it is outside.
-pub(crate) fn within(r: Rect, x: u32, y: u32) -> Option<usize> {
+fn within(r: Rect, x: u32, y: u32) -> Option<usize> {
     let (x, y) = (x.checked_sub(r.x)?, y.checked_sub(r.y)?);
     (x < r.w && y < r.h).then(|| y as usize * r.w as usize + x as usize)
 }

@@ -3,7 +3,7 @@
 use tmpi_core::{DisparityMap, Photo};
 
 use crate::run::{self, Context, MakeError, Switch};
-use crate::stereo::{self, FusedDisparity, Measured, SecondEye, Stereo};
+use crate::stereo::{self, FusedDisparity, Measured, Stereo};
 use crate::{denoise, depth, edges, photo};
 
 /// Stage from a photo and the source of its disparity to a disparity map.
@@ -13,18 +13,12 @@ use crate::{denoise, depth, edges, photo};
 pub struct Depth {
     size: Option<(u32, u32)>,
     network_ms: f64,
-    second: Option<(SecondEye, Photo)>,
 }
 
 impl Depth {
     /// Runs the network, if it is the source, at `size`, one of [`depth::Estimator::sizes`]; `None`: at the same size as for a photo.
     pub const fn at(size: Option<(u32, u32)>) -> Self {
-        Self { size, network_ms: 0.0, second: None }
-    }
-
-    /// The second picture, if disparity was measured against it; takes it.
-    pub fn take_second(&mut self) -> Option<(SecondEye, Photo)> {
-        self.second.take()
+        Self { size, network_ms: 0.0 }
     }
 
     /// Milliseconds of the network alone; 0 if it did not run at a size set by [`Depth::at`].
@@ -110,21 +104,20 @@ impl<'a> Source<'a> {
 }
 
 impl SecondPicture<'_> {
-    /// Measures `photo` against the second picture, and returns the picture, too; `None` if that fails and the network's estimate takes its
-    /// place.
+    /// Measures `photo` against the second picture; `None` if that fails and the network's estimate takes its place.
     ///
     /// # Errors
     /// [`MakeError`] if a file of its own cannot be read, or if measuring fails and the option `photo_depth` is on.
-    fn measure(self, photo: &Photo, context: &mut Context) -> Result<Option<(Measured, Photo)>, MakeError> {
+    fn measure(self, photo: &Photo, context: &mut Context) -> Result<Option<Measured>, MakeError> {
         let decoded = |file: &[u8]| photo::decode(file, context.limits, Some(photo.width.max(photo.height))).map(|d| d.photo);
         let given = matches!(self, Self::OwnFile(_));
         let second = match self {
             Self::Half(half) => Ok(half),
             Self::OwnFile(file) | Self::Embedded(file) => decoded(file).map_err(|e| depth::DepthError::Second(e.to_string())),
         };
-        let problem = match second.map(|second| (stereo::measure(photo, &second), second)) {
-            Ok((Ok(measured), second)) => return Ok(Some((measured, second))),
-            Ok((Err(why), _)) => depth::DepthError::Second(why.to_string()),
+        let problem = match second.map(|second| stereo::measure(photo, &second)) {
+            Ok(Ok(measured)) => return Ok(Some(measured)),
+            Ok(Err(why)) => depth::DepthError::Second(why.to_string()),
             Err(error) if given => return Err(error.into()),
             Err(error) => error,
         };
@@ -189,9 +182,8 @@ impl run::Stage for Depth {
             let estimate =
                 size.map_or_else(|| network.estimate(photo).map(depth::Estimate::from), |size| network.estimate_at(photo, size))?;
             self.network_ms = if self.size.is_some() { estimate.network_ms } else { 0.0 };
-            if let Some((measured, picture)) = measured {
-                let FusedDisparity { map, own, figures, second } = measured.fuse(photo, &estimate.map);
-                self.second = Some((second, picture));
+            if let Some(measured) = measured {
+                let FusedDisparity { map, own, figures } = measured.fuse(photo, &estimate.map);
                 context.report.depth_model = "stereo".into();
                 let (width, height) = own.as_ref().map_or((width, height), |own| (own.width, own.height));
                 context.report.input.depth = Some(run::InputDepth { source: "stereo".into(), width, height, stretched: false });

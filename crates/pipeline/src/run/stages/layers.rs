@@ -1,13 +1,12 @@
-//! Layers of all tiles: masks and colours, also those that a second picture shows, and their refinement by a network.
+//! Layers of all tiles: masks and colours, and their refinement by a network.
 
 use tmpi_core::container::{EncodedPhoto, HiddenCodec, OptionalSections, PhotoFormat};
-use tmpi_core::{DisparityMap, Geometry, Photo, TexturedLayer, texture_with};
+use tmpi_core::{DisparityMap, Geometry, Photo, TexturedLayer, texture};
 
 use super::{Placed, Prepared};
 use crate::layers::{self, refine};
 use crate::planes::Placement;
 use crate::run::{Context, LeftOut, MakeError, Report, Stage, Switch};
-use crate::stereo::SecondEye;
 
 /// Whether Ψ runs with [`Switch::Auto`]. It does not: with the shipped weights, it gains 0.03 dB of the 0.37 dB that exact hidden colours
 /// would gain (`tmpi-lab bench --only without`), and the container would have to store its colours.
@@ -15,16 +14,7 @@ const REFINEMENT_HELPS: bool = false;
 
 /// Stage from planes and labels to layers with hidden colours, and to the photo's file for the container.
 #[derive(Debug, Default)]
-pub struct Layers {
-    second: Option<(SecondEye, Photo)>,
-}
-
-impl Layers {
-    /// Takes hidden colours from the second picture, if there is one and no network refines them.
-    pub fn with_second(second: Option<(SecondEye, Photo)>) -> Self {
-        Self { second }
-    }
-}
+pub struct Layers;
 
 /// Layers of a photo.
 #[derive(Clone, Debug)]
@@ -51,9 +41,9 @@ impl Stage for Layers {
         // the container stores the alphas of Ψ, whereas readers derive mattes from the photo
         geometry.matted = !refined(context);
         // encoding the photo uses one core; beside the masks, which use all cores, it adds little wall time
-        let (uploaded, quality) = (prepared.uploaded.take(), context.options.quality);
+        let uploaded = prepared.uploaded.take();
         let file = || {
-            let file = choose_file(uploaded, prepared.format, &prepared.photo, quality)?;
+            let file = choose_file(uploaded, prepared.format, &prepared.photo, context.options.quality)?;
             Ok::<_, MakeError>((file.decode()?, file))
         };
         let masks = || {
@@ -62,19 +52,10 @@ impl Stage for Layers {
         };
         let (masks, file) = rayon::join(masks, file);
         let (photo, photo_file) = file?;
-        let mut seen = layers::Seen::default();
         // mattes depend on the colours, so the layers are those of readers only with the colours that readers see
-        let tiles = texture_with(&photo, &geometry, masks, |tiles| {
-            if let Some((eye, picture)) = self.second.take().filter(|_| geometry.matted) {
-                seen = layers::recolour((&eye, &picture), &geometry, delta, tiles);
-            }
-        });
+        let tiles = texture(&photo, &geometry, masks);
         count(&mut context.report, &geometry, &tiles, &placement);
-        if let Some(figures) = &mut context.report.error.stereo {
-            (figures.hidden, figures.hidden_seen) = (seen.hidden, seen.seen);
-        }
-        let optional = OptionalSections { alpha: false, hidden: seen.used.then_some(HiddenCodec::Jpeg(quality)) };
-        Ok(Layered { geometry, tiles, photo_file, photo, optional })
+        Ok(Layered { geometry, tiles, photo_file, photo, optional: OptionalSections::default() })
     }
 }
 

@@ -122,14 +122,14 @@ impl Stage for Planes {
         }
         let (pixels, count) = (u64::from(w) * u64::from(h), tiles.len() as u64);
         let placed: usize = tiles.iter().map(|t| t.planes.len()).sum();
-        let input = &context.report.input;
-        let sizes = context.sizes.unwrap_or(Sizes::of_photo((input.width, input.height)));
-        let room = options.most_planes(&sizes, pixels, count, context.limits.memory);
+        let room = options.most_planes(pixels, count, context.limits.memory);
         if options.planes == PlaneCount::Auto && placed as u64 > count * u64::from(room) {
             // a large photo with almost only busy tiles: use fewer planes to stay within the memory limit
             placement.most = room;
             (tiles, before) = split(place_rounded(delta, confidence, &grid, &placement));
         }
+        let input = &context.report.input;
+        let sizes = context.sizes.unwrap_or(Sizes::of_photo((input.width, input.height)));
         let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>().div_ceil(tiles.len().max(1));
         context.report.memory_bound_bytes = options.memory_with(&sizes, Some(w.max(h)), planes as u32);
         let geometry = scene(tiles);

@@ -54,18 +54,16 @@ struct ReaderErrors {
 fn reader_errors(photo: &Photo, made: &Encoded) -> Result<ReaderErrors, MakeError> {
     let codec_psnr = psnr(made.scene.photo.rgb.as_flattened(), photo.rgb.as_flattened());
     if made.optional != OptionalSections::default() {
-        // hidden colours are stored for all tiles together, so no single row can be decoded
+        // refined layers are stored for all tiles together, so no single row can be decoded
         let read = container::decode(&made.container)?;
-        // those of mattes follow from the photo and are exact
-        let carried = |scene: &Scene| container::carried_colours(&made.geometry, scene);
-        let hidden = |_| Some(psnr(carried(&read)?.as_flattened(), carried(&made.scene)?.as_flattened()));
+        let hidden = || psnr(read.texels.hidden.as_flattened(), made.scene.texels.hidden.as_flattened());
         let mut difference = Difference::default();
         difference.add(photo.rgb.as_flattened(), &read, 0..photo.height)?;
         return Ok(ReaderErrors {
             codec_psnr,
             identity_psnr: difference.psnr(),
             tiles: made.geometry.tiles.len(),
-            hidden_psnr: made.optional.hidden.and_then(hidden),
+            hidden_psnr: made.optional.hidden.map(|_| hidden()),
         });
     }
     let Photo { width, height, rgb } = made.scene.photo.clone();
