@@ -34,6 +34,9 @@ impl LibraryArgs {
                 format!("{}: no library there; give --data, --database or --config, or create one with key add --create", data.display());
             return Err(Usage(text).into());
         }
+        if database.is_some() != blobs.is_some() {
+            return Err(Usage("--database and --blobs go together: give those of the server".into()).into());
+        }
         let config = Config { database: database.clone(), blobs: blobs.clone(), ..Config::of_folder(data) };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         runtime.block_on(async {

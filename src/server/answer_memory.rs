@@ -5,15 +5,15 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use bytes::Bytes;
 
 /// Pieces of files that are being sent, on all connections together: 16 MiB. Beyond it, a request of HTTP/2 holds two pieces of [`LEAST`], and
-/// a connection of HTTP/1, whose transport queues more of them, 16.
+/// a connection of HTTP/1, whose transport queues more of them, 16. Each piece of an object store is a request of its own, so it has 64 KiB.
 pub static PIECES: AnswerMemory = AnswerMemory::new(16 << 20);
 
 /// Whole files in memory: those of caches, and those that clients still read after they have left the caches. Further ones are read from disk
 /// while they are sent.
 pub static WHOLE: AnswerMemory = AnswerMemory::new(0);
 
-/// Bytes that a piece may always have, so that clients that do not read keep nobody else waiting.
-const LEAST: usize = 4 << 10;
+/// Bytes that a piece of a file may always have, so that clients that do not read keep nobody else waiting.
+pub const LEAST: usize = 4 << 10;
 
 /// A bound of memory, and how much of it is held.
 #[derive(Debug)]
@@ -63,15 +63,15 @@ impl AnswerMemory {
         self.held.load(Ordering::Relaxed)
     }
 
-    /// Memory for a piece of up to `wanted` bytes; fewer if little is left.
-    pub fn take(&'static self, wanted: usize) -> Share {
+    /// Memory for a piece of up to `wanted` bytes; fewer if little is left, but at least `least`.
+    pub fn take(&'static self, wanted: usize, least: usize) -> Share {
         let mut bytes = wanted;
         loop {
             let share = Share::new(self, bytes);
-            if bytes <= LEAST || self.is_within() {
+            if bytes <= least || self.is_within() {
                 return share;
             }
-            bytes = (bytes / 2).max(LEAST);
+            bytes = (bytes / 2).max(least);
         }
     }
 
@@ -107,12 +107,12 @@ mod tests {
     #[test]
     fn pieces_get_smaller_when_little_memory_is_left_and_give_it_back() {
         static MEMORY: AnswerMemory = AnswerMemory::new(100 << 10);
-        let first = MEMORY.take(64 << 10);
-        let second = MEMORY.take(64 << 10);
+        let first = MEMORY.take(64 << 10, LEAST);
+        let second = MEMORY.take(64 << 10, LEAST);
         assert_eq!((first.bytes, second.bytes), (64 << 10, 32 << 10));
-        let least: Vec<Share> = (0..9).map(|_| MEMORY.take(1 << 20)).collect();
+        let least: Vec<Share> = (0..9).map(|_| MEMORY.take(1 << 20, LEAST)).collect();
         assert!(least.iter().all(|share| share.bytes == LEAST));
-        assert_eq!(MEMORY.take(9).bytes, 9);
+        assert_eq!(MEMORY.take(9, LEAST).bytes, 9);
         assert_eq!(MEMORY.held(), (96 << 10) + 9 * LEAST);
         let mut sent = first.attach(Bytes::from(vec![7; 64 << 10]));
         let rest = sent.split_off(9);
@@ -120,7 +120,7 @@ mod tests {
         assert_eq!((rest.len(), MEMORY.held()), ((64 << 10) - 9, (96 << 10) + 9 * LEAST), "a part holds the whole");
         drop((rest, second, least));
         assert_eq!(MEMORY.held(), 0);
-        assert_eq!(MEMORY.take(64 << 10).bytes, 64 << 10);
+        assert_eq!(MEMORY.take(64 << 10, LEAST).bytes, 64 << 10);
     }
 
     #[test]

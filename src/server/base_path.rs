@@ -9,6 +9,9 @@ use std::str::FromStr;
 use axum::http::Uri;
 use axum::http::uri::PathAndQuery;
 
+/// First names of the server's own addresses. Below one of them, it could not tell an address with the path from one without.
+const OWN: [&str; 10] = ["demo", "embed", "healthz", "live", "metrics", "oembed", "readyz", "static", "v1", "view"];
+
 /// Path before every address, such as `/3d`; empty by default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BasePath(String);
@@ -21,6 +24,9 @@ impl FromStr for BasePath {
             let is_plain = name.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.~".contains(&b));
             is_plain && !matches!(name, "" | "." | "..")
         };
+        if text.split('/').nth(1).is_some_and(|first| OWN.contains(&first)) {
+            return Err("the server has addresses of its own that begin so; expected a path such as /3d");
+        }
         let fits = text.strip_prefix('/').is_some_and(|names| names.split('/').all(is_fine));
         fits.then(|| Self(text.to_owned())).ok_or("expected a path such as /3d: letters, digits and -_.~ after each /, none at the end")
     }
@@ -71,9 +77,10 @@ mod tests {
         for fine in ["/3d", "/a/b-c_d.e~f", "/..."] {
             assert_eq!(fine.parse::<BasePath>().unwrap().to_string(), fine);
         }
-        for wrong in
-            ["", "/", "3d", "/3d/", "//3d", "/a//b", "/..", "/a/../b", "/.", "/a b", "/a%20b", "/a?b", "/a#b", "/a;b", "/a\"b", "/é"]
-        {
+        for wrong in [
+            "", "/", "3d", "/3d/", "//3d", "/a//b", "/..", "/a/../b", "/.", "/a b", "/a%20b", "/a?b", "/a#b", "/a;b", "/a\"b", "/é", "/v1",
+            "/live/3d",
+        ] {
             assert!(wrong.parse::<BasePath>().is_err(), "{wrong}");
         }
     }

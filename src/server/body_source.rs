@@ -10,7 +10,7 @@ use bytes::Bytes;
 use futures_util::stream;
 use tmpi_library::{Blob, BlobStore};
 
-use super::answer_memory::{AnswerMemory, PIECES};
+use super::answer_memory::{AnswerMemory, LEAST, PIECES};
 
 /// Bytes to read first. Each piece is twice as large as the one before, so that a client holds memory only in proportion to what it has read.
 const FIRST_PIECE: usize = 64 << 10;
@@ -65,16 +65,17 @@ impl Source {
 
     /// The same, with the pieces of a file within `memory`.
     fn body_within(self, range: Range<usize>, memory: &'static AnswerMemory) -> Body {
-        let most = match &self {
+        // each piece of an object is a request
+        let (least, most) = match &self {
             Self::Memory(bytes) => return Body::from(bytes.slice(range)),
-            Self::File(..) => PIECE,
-            Self::Object(..) => OBJECT_PIECE,
+            Self::File(..) => (LEAST, PIECE),
+            Self::Object(..) => (FIRST_PIECE, OBJECT_PIECE),
         };
         let pieces = stream::try_unfold((self, range, FIRST_PIECE), move |(source, left, length)| async move {
             if left.is_empty() {
                 return Ok::<_, io::Error>(None);
             }
-            let share = memory.take(length.min(left.len()));
+            let share = memory.take(length.min(left.len()), least);
             let end = left.start + share.bytes;
             let piece = source.read(left.start..end).await?;
             Ok(Some((share.attach(piece), (source, end..left.end, most.min(2 * length)))))

@@ -10,7 +10,9 @@ const KEY = 'token';
 /** @returns {RoomOf} */
 export function roomOf() {
   const token = new URLSearchParams(location.hash.slice(1)).get(KEY) ?? '';
-  return roomNamed(decodeURIComponent(location.pathname.slice(at('/live/').length).split('/')[0]), token);
+  // the server answers without its base path, too
+  const name = /\/live\/([^/]+)(?:\/publish)?\/?$/.exec(location.pathname)?.[1] ?? '';
+  return roomNamed(decodeURIComponent(name), token);
 }
 
 /**

@@ -93,9 +93,11 @@ class RemoteBand {
  * @param {Head} head
  * @param {WebAssembly.Module} module
  */
-function bandsFor({ scene, bands }, module) {
+function bandsFor({ scene, reach, bands }, module) {
   const most = bands ? Math.min(MAX_BANDS, navigator.hardwareConcurrency || 1) : 1;
-  const wanted = Math.min(Math.floor((scene.width * scene.height) / BAND_PIXELS), most);
+  // shorter bands would mostly decode what others decode, too
+  const tallest = Math.max(1, Math.floor(scene.height / (2 * reach)));
+  const wanted = Math.min(Math.floor((scene.width * scene.height) / BAND_PIXELS), tallest, most);
   /** @type {(Band | RemoteBand)[]} */
   const all = [new Band(module)];
   try {

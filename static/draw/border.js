@@ -1,5 +1,6 @@
 // Continues a scene beyond the photo's borders, so that no camera in the view box sees past them. As in crates/render/src/border.rs, the
-// shape of the scene is mirrored, so that the continuation moves with the photo. The decoder continues the colours.
+// shape of the scene is mirrored, so that the continuation moves with the photo. The decoder continues a photo's
+// colours; those of a room are mirrored, too.
 import { margins } from '../view/camera-limits.js';
 
 /** @import { Layers, SceneHead } from '../decode/scene.js' */

@@ -263,22 +263,33 @@ impl Library {
     }
 }
 
+/// Time for claiming a new store, in a transaction that PostgreSQL ends when it is idle for 5 s.
+const CLAIM_TIME: Duration = Duration::from_secs(4);
+
 /// Refuses a blob store of another library, whose blobs `gc` would delete as orphans, and a second store of this one. Nodes and libraries
 /// may start at the same time.
 async fn pair(database: &Database, blobs: &BlobStore) -> Result<()> {
     let id = link_signatures::stored_secret(database, "library").await?;
+    let known = blobs.library().await?;
     let mut tx = database.write().await?;
     // one node at a time: two that find the database without a store might each bring one
     tx.lock(Lock::Secret).await?;
     let insert = sqlx::query("INSERT INTO secrets (name, value) VALUES ('paired', $1) ON CONFLICT (name) DO NOTHING");
     let is_new = insert.bind(id.as_str()).execute(tx.connection()).await?.rows_affected() > 0;
     let photos = sqlx::query("SELECT id FROM photos LIMIT 1").fetch_optional(tx.connection()).await?;
-    let is_new = is_new && photos.is_none();
-    let is_own = match blobs.library().await? {
+    let is_own = match known {
         Some(of) => of == id,
-        None if is_new => blobs.claim(&id).await?,
+        None if is_new && photos.is_none() => {
+            let late = || format!("the blob store needs more than {} s to be claimed: start again", CLAIM_TIME.as_secs());
+            let claimed = tokio::time::timeout(CLAIM_TIME, blobs.claim(&id)).await;
+            claimed.map_err(|_| LibraryError::Invalid(late()))??
+        }
         None => {
             tx.rollback().await;
+            // another node may have claimed it meanwhile
+            if blobs.library().await?.is_some_and(|of| of == id) {
+                return Ok(());
+            }
             let why = "the database belongs to another blob store: all nodes need the same --blobs";
             return Err(LibraryError::Invalid(why.into()));
         }
@@ -288,7 +299,9 @@ async fn pair(database: &Database, blobs: &BlobStore) -> Result<()> {
     }
     // what was refused must not count as paired
     tx.rollback().await;
-    Err(LibraryError::Invalid("the blob store belongs to another library: give each library its own bucket or prefix".into()))
+    let why = "the blob store belongs to another library, or one has tried to claim it within 15 minutes: give each library its own bucket \
+               or prefix";
+    Err(LibraryError::Invalid(why.into()))
 }
 
 const fn millis(time: Duration) -> Millis {

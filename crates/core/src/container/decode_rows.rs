@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::schema::Kind;
+use super::schema::{Index, Kind};
 use super::{ContainerError, PhotoFormat, decode};
 use crate::{Layer, Photo, Texels, layers};
 
@@ -34,8 +34,11 @@ pub struct TileLayers {
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
 pub fn pixel_rows(bytes: &[u8], rows: &Range<u32>) -> Result<Range<u32>, ContainerError> {
-    let (index, _) = decode::split(bytes)?;
-    let (grid, intrinsics, view_box) = decode::cameras(&index)?;
+    rows_of(&decode::split(bytes)?.0, rows)
+}
+
+fn rows_of(index: &Index, rows: &Range<u32>) -> Result<Range<u32>, ContainerError> {
+    let (grid, intrinsics, view_box) = decode::cameras(index)?;
     if rows.is_empty() || rows.end > grid.rows() {
         return Err(ContainerError::broken("rows of tiles out of range"));
     }
@@ -51,7 +54,7 @@ pub fn pixel_rows(bytes: &[u8], rows: &Range<u32>) -> Result<Range<u32>, Contain
 pub fn decode_rows(bytes: &[u8], rows: &Range<u32>, photo: &PhotoRows, hidden: Option<&Photo>) -> Result<TileLayers, ContainerError> {
     let (index, body) = decode::split(bytes)?;
     let (grid, intrinsics, view_box) = decode::cameras(&index)?;
-    let pixel_rows = pixel_rows(bytes, rows)?;
+    let pixel_rows = rows_of(&index, rows)?;
     // all rows of tiles that overlap these rows of pixels
     let near = pixel_rows.start.saturating_sub(grid.size) / grid.stride..pixel_rows.end.div_ceil(grid.stride);
     let geometry = decode::layer_geometry(&index, body, grid, (intrinsics, view_box), &near)?;

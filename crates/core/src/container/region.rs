@@ -1,7 +1,7 @@
 //! Regions of a container: the tiles over a rectangle of the photo, as a container of their own.
 //!
-//! Planes and labels are the same bit for bit, and so is the shape of every layer, except near a cut border: there, hidden texels are
-//! derived without the tiles that were cut off, as at the photo's own border.
+//! Planes, labels and visible texels are the same bit for bit. Hidden texels are derived without the tiles that were cut off, as at the
+//! photo's own border, and where pruning searches far, in blocks that start at the region's corner.
 
 use std::ops::Range;
 

@@ -15,6 +15,7 @@ mod surface;
 mod texture;
 mod visibility_kernels;
 
+pub(crate) use coarse_surface::BLOCK;
 pub(crate) use dilation::{Dilation, dilate};
 pub(crate) use inpaint::CONTEXT;
 pub use inpaint::{Inpainter, Pyramid};

@@ -104,7 +104,7 @@ impl Geometry {
 
     /// Number of tiles with hidden texels that views from the box may uncover across more pixels than pruning searches. They may show gaps.
     pub fn tiles_beyond_reach(&self) -> usize {
-        let most = if self.short_reach { FINE_REACH } else { MAX_REACH };
+        let most = MAX_REACH;
         let beyond = |index: u32| {
             let tile = &self.tiles[index as usize];
             let r = self.grid.rect(index);

@@ -10,9 +10,9 @@ use super::changed_blocks::Blocks;
 use super::label_motion::{MotionSearch, MotionVector};
 use super::shown_frames::{self, FrameTiming, History, Shown};
 use crate::container::{TileLayers, texels};
-use crate::layers::{CONTEXT, MAX_FRAMES, STEADY, Surface};
+use crate::layers::{BLOCK, CONTEXT, MAX_FRAMES, STEADY, Surface};
 use crate::scene::packed_rgb;
-use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Photo, Pyramid, Rect, Scene, SeenBackground, Texels, grown};
+use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Photo, Pyramid, Scene, SeenBackground, Texels, grown};
 
 /// Distance, in pixels, that a hidden colour depends on: the inpainting context, plus one pixel of the surface around it.
 const AROUND: u32 = CONTEXT + 1;
@@ -210,7 +210,7 @@ impl Layers {
         let grid = &geometry.grid;
         let inpainter = Inpainter::with_sources(*grid, unmixed, &self.photo.rgb);
         let mut out = Changes::default();
-        let has_depth_changed = depth.any(&Rect { x: 0, y: 0, w: grid.width, h: grid.height });
+        let (x, y) = geometry.reach();
         let (first, turns) = (self.turn, u32::from(frames).min(TURNS));
         self.turn = (first + turns) % TURNS;
         for t in 0..grid.tiles() {
@@ -221,7 +221,14 @@ impl Layers {
             let (since, changes) = (&mut self.since[t as usize], pixels.any(&around) || depth.any(&around));
             *stale |= changes;
             *since = if changes { 0 } else { since.saturating_add(frames.min(MAX_FRAMES)) };
-            let new = (changed[t as usize] || has_depth_changed && depth.any(&geometry.window(t, surface)))
+            let tile = &geometry.tiles[t as usize];
+            // the window takes a search, so the largest that it can be is tried first
+            let depends = || {
+                (tile.planes.len() > 1 || tile.background.is_some())
+                    && depth.any(&grown(rect, x + BLOCK, y + BLOCK, grid))
+                    && depth.any(&geometry.window(t, surface))
+            };
+            let new = (changed[t as usize] || depends())
                 .then(|| part_of(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
                 .filter(|new| !same_texels(new, part));
             let (reshaped, turn) = (new.is_some(), *stale && its_turn);

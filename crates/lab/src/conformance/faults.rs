@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use tmpi_core::container::{self, RegionPhoto, TileRect};
 use tmpi_core::{Camera, Class, DisparityMap, Geometry, Intrinsics, LayerMasks, Plane, Pose, Scene, ViewBox, texture};
 use tmpi_live::align::{Affine, fit};
 use tmpi_pipeline::depth::{DepthKind, from_map, upsample};
@@ -14,8 +15,8 @@ use tmpi_render::{Cpu, RenderError, Renderer, View};
 use crate::oracle_depth;
 
 use super::{
-    Checked, Hosts, Kernel, Verdict, clustering, colours, compositing, error_target, live_depth, live_motion, map_filters, matting, photos,
-    quantisation, readers, stereo, view_box_corners, views,
+    Checked, Hosts, Kernel, Verdict, clustering, colours, compositing, error_target, levels, live_depth, live_motion, map_filters, matting,
+    photos, quantisation, readers, stereo, view_box_corners, views,
 };
 
 /// A fault planted in a kernel.
@@ -130,6 +131,17 @@ const FAULTS: &[Fault] = &[
             let mut layers = texture(photo, geometry, geometry.masks());
             layers.iter_mut().flatten().filter_map(|l| l.hidden.first_mut()).for_each(|p| *p = [251; 3]);
             layers
+        });
+    }),
+    // a photo with loss
+    fault("levels and regions", &["containers"], &["colours, noise", "colours, one row", "colours, a panorama"], |c| {
+        levels::regions(c, |file, tiles, level| container::region(file, tiles, level, RegionPhoto::Jpeg));
+    }),
+    // the tiles one further to the left
+    fault("levels and regions", &["containers"], &["depth, noise", "depth, one row", "camera, noise", "camera, a panorama"], |c| {
+        levels::regions(c, |file, tiles, level| {
+            let columns = tiles.columns.start.saturating_sub(1)..tiles.columns.end - 1;
+            container::region(file, &TileRect { columns, ..tiles.clone() }, level, RegionPhoto::Lossless)
         });
     }),
     // a share that is a little too large

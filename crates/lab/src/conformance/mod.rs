@@ -8,6 +8,7 @@ mod compositing;
 mod error_target;
 #[cfg(test)]
 mod faults;
+mod levels;
 mod live_depth;
 mod live_motion;
 mod map_filters;
@@ -165,6 +166,7 @@ pub fn run() -> Checked {
     colours::run(&mut checked);
     readers::run(&mut checked);
     matting::run(&mut checked);
+    levels::run(&mut checked);
     views::run(&mut checked, &hosts);
     compositing::run(&mut checked, &hosts);
     photos::run(&mut checked, &hosts);

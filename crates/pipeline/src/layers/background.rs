@@ -10,7 +10,7 @@ use crate::planes::fit_points;
 const BACKGROUND_REACH: u32 = 32;
 /// The next margin, if there is no background so near. Each later one is twice as wide. In margins wider than this, pixels are sampled.
 const NEXT_REACH: u32 = 96;
-/// Fewest pixels from which a background plane is fitted.
+/// Fewest pixels from which a background plane is fitted; where one of n is sampled in each direction, that many divided by n.
 const BACKGROUND_PIXELS: usize = 32;
 /// How much farther than the whole tile these pixels must be, in δ.
 const BACKGROUND_STEP: f32 = 0.05;
@@ -79,7 +79,7 @@ fn background(
             }
         }
     }
-    if points.len() * step * step < BACKGROUND_PIXELS {
+    if points.len() * step < BACKGROUND_PIXELS {
         return None;
     }
     let plane = fit_points(points.iter().copied())?;
