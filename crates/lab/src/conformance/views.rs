@@ -19,12 +19,13 @@ const WITHOUT_ORDER: [(&str, &str); 2] = [("translucent stack", "edge-on"), ("tr
 
 /// Percent of pixels that may be wrong: quad edges differ between rasterisers; in `f32` a pixel on the line where two surfaces cross
 /// may show the other one, in `f64` only where tiles overlap on one surface. The largest shares found: 0.017 by the reference, 0.021 by
-/// the CPU, and by Vulkan in software 0.67 (two pixels of a row), 0.62 and 0.6.
+/// the CPU, and by Vulkan in software 1.06 (the continuation beyond a border, seen edge-on by a camera far outside of the view box; within 0.7 with
+/// the sharp mirror image), 0.67 (two pixels of a row) and 0.62.
 pub(super) fn bound(host: &dyn Renderer) -> f64 {
     match host.name() {
         "reference" => 0.02,
         "cpu" => 0.05,
-        _ => 0.7,
+        _ => 1.1,
     }
 }
 
