@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use crate::command::{Fault, Profile, built, data, root, run};
-use crate::tools;
+use crate::{runtime, tools};
 
 /// Packs the element for npm into `target/npm`.
 pub fn pack_element() -> Result<(), Fault> {
@@ -24,5 +24,6 @@ pub fn test() -> Result<(), Fault> {
     let mut command = tools::npm(tools::BROWSER_TESTS);
     command.args(["test", "--silent"]).env("TMPI_BIN", built(Profile::Checks, "tmpi")).env("TMPI_DATA", data());
     tools::set_env(&mut command);
+    runtime::set_env(&mut command);
     run(command)
 }
