@@ -12,7 +12,7 @@ pub static PIECES: AnswerMemory = AnswerMemory::new(16 << 20);
 /// while they are sent.
 pub static WHOLE: AnswerMemory = AnswerMemory::new(0);
 
-/// Bytes that a piece of a file may always have, so that clients that do not read keep nobody else waiting.
+/// Every piece of a file may have this many bytes, so no client waits for another that does not read.
 pub const LEAST: usize = 4 << 10;
 
 /// A bound of memory, and how much of it is held.

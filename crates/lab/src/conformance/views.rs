@@ -17,15 +17,18 @@ const FEW: usize = 100;
 /// first, right of it the far ones.
 const WITHOUT_ORDER: [(&str, &str); 2] = [("translucent stack", "edge-on"), ("translucent stack", "nearly edge-on")];
 
+/// Where Vulkan in software exceeds [`bound`], and by how much: 1.06 % of the pixels. A camera far outside of the view box sees edge-on what
+/// continues the scene beyond the photo's border. Open: why its colours differ from those of rays there, and not with sharp mirror images.
+const BEYOND_BORDER: ((&str, &str), f64) = (("holes", "edge-on"), 1.1);
+
 /// Percent of pixels that may be wrong: quad edges differ between rasterisers; in `f32` a pixel on the line where two surfaces cross
 /// may show the other one, in `f64` only where tiles overlap on one surface. The largest shares found: 0.017 by the reference, 0.021 by
-/// the CPU, and by Vulkan in software 1.06 (the continuation beyond a border, seen edge-on by a camera far outside of the view box; within 0.7 with
-/// the sharp mirror image), 0.67 (two pixels of a row) and 0.62.
+/// the CPU, and by Vulkan in software 0.67 (two pixels of a row) and 0.62.
 pub(super) fn bound(host: &dyn Renderer) -> f64 {
     match host.name() {
         "reference" => 0.02,
         "cpu" => 0.05,
-        _ => 1.1,
+        _ => 0.7,
     }
 }
 
@@ -60,8 +63,10 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
             for (order, excused) in [("", false), (" in the order of layers", true)] {
                 let worst = views.iter().filter(|v| v.0 == excused).max_by(|a, b| a.2.total_cmp(&b.2));
                 if let Some((_, camera, share)) = worst {
+                    let is_open = host.name() == "gpu" && (name, *camera) == BEYOND_BORDER.0;
+                    let most = if is_open { BEYOND_BORDER.1 } else { bound(host) };
                     let name = format!("{name}{order}, worst of {}: {camera}", wanted.len());
-                    checked.case("planes", &name, host.name(), "% of pixels", bound(host), || *share);
+                    checked.case("planes", &name, host.name(), "% of pixels", most, || *share);
                 }
             }
         }

@@ -150,7 +150,7 @@ async fn of_two_libraries_that_claim_a_new_store_at_once_at_most_one_gets_it() {
         let [one, other] = [claim("one"), claim("other")];
         let got = [one.await.unwrap(), other.await.unwrap()];
         assert_ne!(got, [true, true], "in round {round}");
-        // whoever comes later gets it if both were refused
+        // if the store refused both, the next claim gets it
         let is_free = got == [false, false];
         assert_eq!((store.claim("one").await.unwrap(), store.claim("other").await.unwrap()), (got[0] || is_free, got[1]));
     }
