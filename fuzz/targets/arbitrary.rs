@@ -107,6 +107,5 @@ pub fn geometry(script: &mut Script, most_planes: u32) -> Geometry {
         view_box: ViewBox::cube(0.03),
         tiles,
         matted: false,
-        short_reach: false,
     }
 }

@@ -26,20 +26,18 @@ const NETWORKS = [
 export const networkName = (model) => NETWORKS.find(([pattern]) => pattern.test(model))?.[1] ?? model;
 
 /**
- * One or two sentences for the menu; empty if the report, which may be of an older version, does not have the information.
- * @param {Partial<Report>} report
+ * A few sentences for the menu.
+ * @param {Report} report
  */
-export function depthSummary(report) {
-  const { depth_model: model, input, stages } = report;
-  if (!model) return '';
+export function depthSummary({ depth_model: model, input, stages }) {
   const parts = [];
   if (model === 'given') parts.push(t('Depth: a map of your own.'));
   else if (model === 'embedded') parts.push(t('Depth: from the photo itself.'));
   else {
-    const ms = stages?.find((stage) => stage.name === 'depth')?.ms ?? 0;
+    const ms = stages.find((stage) => stage.name === 'depth')?.ms ?? 0;
     parts.push(t('Depth: estimated by {0} in {1} s.', t(networkName(model)), decimal(ms / 1000, ms < 995 ? 2 : 1)));
   }
-  if (input?.depth?.stretched) parts.push(t('The map has another shape than the photo and was stretched.'));
-  if (input?.depth_problem) parts.push(t('The photo’s own depth was left out: {0}', input.depth_problem));
+  if (input.depth?.stretched) parts.push(t('The map has another shape than the photo and was stretched.'));
+  if (input.depth_problem) parts.push(t('The photo’s own depth was left out: {0}', input.depth_problem));
   return parts.join(' ');
 }

@@ -21,7 +21,7 @@ const FINE_STEP = 0.004;
 /** @type {Record<string, [number, number]>} */
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-/** @typedef {{kept: boolean, drawn: {stroke: Stroke, region: Region}[]}} Edit whether strokes in the map stay, and those over it */
+/** @typedef {{stroke: Stroke, region: Region}[]} Edit all strokes */
 
 /** Rounds coordinates to four decimals: finer than a pixel of any screen. */
 const place = (/** @type {number} */ v) => Math.round(Math.min(Math.max(v, 0), 1) * 1e4) / 1e4;
@@ -38,22 +38,19 @@ export async function openTouchUp({ id, photo, saved, say }) {
   const width = Math.max(1, Math.round(photo.naturalWidth * scale));
   const height = Math.max(1, Math.round(photo.naturalHeight * scale));
   const rgba = pixels(photo, width, height);
-  const { map, touched } = await depthOf(state, before.strokes.length > 0, width, height);
+  const map = await depthOf(state, before.strokes.length > 0, width, height);
   const outlines = new Outlines(width, height, rgba, map);
-  /** Strokes already in the map: they stay or go together. */
-  const within = touched ? before.strokes : [];
-  const painted = touched ? [] : before.strokes.map((stroke) => ({ stroke, region: outlines.region(stroke) }));
+  /** The server's state. @type {Edit} */
+  const begun = before.strokes.map((stroke) => ({ stroke, region: outlines.region(stroke) }));
   const dialog = await touchUpDialog();
   const view = new TouchUpView($('touch-photo', HTMLCanvasElement), $('touch-depth', HTMLCanvasElement), photo, width, height);
   const size = $('touch-size', HTMLInputElement);
   const amount = $('touch-amount', HTMLInputElement);
 
   /** Saved strokes can be undone one by one, too. @type {Edit[]} */
-  const past = painted.map((_, n) => ({ kept: true, drawn: painted.slice(0, n) }));
+  const past = begun.map((_, n) => begun.slice(0, n));
   /** @type {Edit[]} */
   let future = [];
-  /** The server's state. @type {Edit} */
-  const begun = { kept: true, drawn: painted };
   let now = begun;
   /** The stroke under the brush. @type {{points: [number, number][], region: Region | null} | null} */
   let brush = null;
@@ -67,7 +64,6 @@ export async function openTouchUp({ id, photo, saved, say }) {
   const wish = () => /** @type {string} */ (new FormData($('touch-form', HTMLFormElement)).get('touch-wish'));
   const radius = () => Number(size.value);
   const changed = () => now !== begun;
-  const count = () => now.drawn.length + (now.kept ? within.length : 0);
   const button = (/** @type {string} */ name) => $(name, HTMLButtonElement);
 
   function tell(text = '') {
@@ -76,26 +72,22 @@ export async function openTouchUp({ id, photo, saved, say }) {
 
   function hint() {
     if (waiting) return tell(t('Now choose a place at the right depth.'));
-    const last = now.drawn.at(-1);
-    // the preview still has it, see depthOf
-    const goes = now.kept || !within.length ? '' : t('Earlier strokes are removed when you save.');
-    if (goes && !last) return tell(goes);
-    const next =
+    tell(
       wish() === 'like'
         ? t('First paint over what is at the wrong depth, then choose a place at the right depth.')
-        : last?.stroke.by !== undefined
+        : now.at(-1)?.stroke.by !== undefined
           ? t('Move the slider until the depth is right, or keep painting.')
-          : t('Paint over what is at the wrong depth. The paint stops at edges in the photo.');
-    tell(goes ? `${goes} ${next}` : next);
+          : t('Paint over what is at the wrong depth. The paint stops at edges in the photo.'),
+    );
   }
 
   function show() {
-    const last = now.drawn.at(-1);
+    const last = now.at(-1);
     amount.disabled = busy || wish() !== 'by';
     if (last?.stroke.by !== undefined) amount.value = String(last.stroke.by);
     button('touch-undo').disabled = busy || !(past.length || waiting || brush);
     button('touch-redo').disabled = busy || !future.length;
-    button('touch-clear').disabled = busy || !count();
+    button('touch-clear').disabled = busy || !now.length;
     button('touch-save').disabled = busy || !changed() || Boolean(waiting);
     button('touch-cancel').disabled = busy;
     cancelAnimationFrame(frame);
@@ -104,11 +96,11 @@ export async function openTouchUp({ id, photo, saved, say }) {
 
   function draw() {
     if (brush) brush.region = outlines.region({ points: brush.points, radius: radius() });
-    const current = brush?.region ?? waiting?.region ?? now.drawn.at(-1)?.region ?? null;
+    const current = brush?.region ?? waiting?.region ?? now.at(-1)?.region ?? null;
     const keys = document.activeElement === view.canvas && view.canvas.matches(':focus-visible');
     view.draw(current, keys ? { at: cursor, radius: radius() } : null);
     const preview = brush?.region && wish() !== 'like' ? [{ stroke: asked(brush.points), region: brush.region }] : [];
-    view.drawDepth(touchedUp(outlines, map, [...now.drawn, ...preview]));
+    view.drawDepth(touchedUp(outlines, map, [...now, ...preview]));
   }
 
   /** @param {Edit} edit */
@@ -136,9 +128,9 @@ export async function openTouchUp({ id, photo, saved, say }) {
     if (waiting) {
       const { points, radius: painted, region } = waiting;
       waiting = null;
-      return change({ ...now, drawn: [...now.drawn, { stroke: { points, radius: painted, like: at }, region }] });
+      return change([...now, { stroke: { points, radius: painted, like: at }, region }]);
     }
-    if (count() >= STROKES) return tell(t('A photo has at most {0} strokes.', STROKES));
+    if (now.length >= STROKES) return tell(t('A photo has at most {0} strokes.', STROKES));
     brush = { points: [at], region: null };
     show();
   }
@@ -164,7 +156,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
       hint();
       return show();
     }
-    change({ ...now, drawn: [...now.drawn, { stroke: asked(points), region }] });
+    change([...now, { stroke: asked(points), region }]);
   }
 
   function undo() {
@@ -195,7 +187,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
     tell(t('Making the photo again…'));
     show();
     try {
-      const strokes = [...(now.kept ? within : []), ...now.drawn.map(({ stroke }) => stroke)];
+      const strokes = now.map(({ stroke }) => stroke);
       const answer = await changeStrokes(id, strokes, before.etag);
       if (answer.state !== 'done') await untilMade(id);
       dialog.close();
@@ -253,11 +245,8 @@ export async function openTouchUp({ id, photo, saved, say }) {
   });
   on(amount, 'input', () => {
     // the last stroke follows the slider; one undo removes the stroke, not the slider's change
-    const last = now.drawn.at(-1);
-    if (last?.stroke.by !== undefined) {
-      const slid = { ...last, stroke: { ...last.stroke, by: Number(amount.value) } };
-      now = { ...now, drawn: [...now.drawn.slice(0, -1), slid] };
-    }
+    const last = now.at(-1);
+    if (last?.stroke.by !== undefined) now = [...now.slice(0, -1), { ...last, stroke: { ...last.stroke, by: Number(amount.value) } }];
     show();
   });
   on($('touch-form'), 'change', () => {
@@ -267,7 +256,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
   on(size, 'input', show);
   on(button('touch-undo'), 'click', undo);
   on(button('touch-redo'), 'click', redo);
-  on(button('touch-clear'), 'click', () => change({ kept: false, drawn: [] }));
+  on(button('touch-clear'), 'click', () => change([]));
   on(button('touch-save'), 'click', save);
   on(button('touch-cancel'), 'click', () => dialog.close());
   on(dialog, 'cancel', (event) => busy && event.preventDefault());
@@ -304,21 +293,19 @@ function pixels(picture, width, height) {
 }
 
 /**
- * The disparity of a photo at a size, 0 to 1, below the strokes, and whether it is `touched`: a photo of an older version has only
- * the map with its strokes in it. Where such a stroke crosses, outlines that follow depth more than colour may differ from the server's.
+ * The disparity of a photo at a size, 0 to 1, below the strokes.
  * @param {Photo} state
  * @param {boolean} strokes whether it has any
  * @param {number} width
  * @param {number} height
  */
 async function depthOf({ id, version }, strokes, width, height) {
-  const get = (/** @type {Record<string, string>} */ query) =>
-    fetch(photoUrl(id, `/depth?${new URLSearchParams({ ...query, ...(version && { v: version }) })}`));
-  let response = strokes ? await get({ before: 'strokes' }) : await get({});
-  const touched = strokes && response.status === 404;
-  if (touched) response = await get({});
+  const query = new URLSearchParams();
+  if (strokes) query.set('before', 'strokes');
+  if (version) query.set('v', version);
+  const response = await fetch(photoUrl(id, `/depth?${query}`));
   if (!response.ok) throw new Error(t('The depth cannot be loaded.'));
   const bitmap = await createImageBitmap(await response.blob(), { colorSpaceConversion: 'none' });
   const rgba = pixels(bitmap, width, height);
-  return { map: new Float32Array(width * height).map((_, i) => rgba[4 * i] / 255), touched };
+  return new Float32Array(width * height).map((_, i) => rgba[4 * i] / 255);
 }

@@ -10,7 +10,7 @@ import { filesOf } from './drop.js';
 import { isUnderWay } from './follow-photo.js';
 import { refreshSoon, remove, startGallery } from './gallery.js';
 import { takeShared } from './installed.js';
-import { forgetName, photoName } from './photo-name.js';
+import { photoName } from './photo-name.js';
 import { freshName, publishPage } from './room-name.js';
 import { forgetRow, resume, startUploads, upload } from './uploads.js';
 
@@ -25,12 +25,6 @@ const QUALITIES = {
   good: {},
   best: { quality: 97, 'max-error': 0.5 },
 };
-
-/** @param {string} id */
-function forget(id) {
-  forgetName(id);
-  forgetRow(id);
-}
 
 const [map, eye] = ['depth-map', 'second-eye'].map((id) => $(id, HTMLInputElement));
 // depth comes from one of them
@@ -109,15 +103,15 @@ startUploads({
   made: refreshSoon,
   remove: async (id) => {
     await deletePhoto(id);
-    forget(id);
+    forgetRow(id);
   },
 });
 takeShared().then((files) => files.length && take(files.map((file) => ({ file }))));
 const deleted = handedOver();
-startGallery(forget).then((page) => {
+startGallery(forgetRow).then((page) => {
   for (const photo of page?.photos ?? []) if (isUnderWay(photo)) resume(photo, photoName(photo));
   if (!deleted) return;
   if (page?.photos.some(({ id }) => id === deleted.id)) return remove([deleted.id]);
   // it is on a further page of the list
-  deleteLater([{ ...deleted, gone: () => forget(deleted.id), back: () => {} }]);
+  deleteLater([{ ...deleted, gone: () => forgetRow(deleted.id), back: () => {} }]);
 });

@@ -294,7 +294,7 @@ async function showDepthSource() {
   if (!answer?.ok) return;
   const report = await answer.json();
   line.textContent = depthSummary(report);
-  line.hidden = !line.textContent;
+  line.hidden = false;
   offerBetterDepth($('better-depth'), { id, model: report.depth_model, made: showAgain });
 }
 

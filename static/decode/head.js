@@ -22,10 +22,10 @@ const ZSTD = 1;
  * @type {Record<number, string | undefined>}
  */
 const PICTURES = { 2: 'image/jpeg', 3: 'image/png', 4: 'image/webp' };
-/** Field numbers of the sections and of `whole_reach` in the index. */
-const [SECTIONS, WHOLE_REACH] = [16, 18];
+/** Field number of the sections in the index. */
+const SECTIONS = 16;
 /** Limits of the reach, and the pixels added to it (crates/core/src/layers/reach.rs). */
-const [SHORT, FARTHEST, MARGIN] = [96, 1664, 1.5];
+const [NEAREST, FARTHEST, MARGIN] = [96, 1664, 1.5];
 
 /** @typedef {{start: number, end: number, type: string}} PictureFile first byte, end and media type of a picture file in a container */
 /**
@@ -78,7 +78,7 @@ export function readHead(bytes) {
   if (!photo) return broken('there is no photo section');
   return {
     scene: { width, height, tileSize, tileStride, intrinsics: { fx, fy, cx, cy }, viewBox: { x, y, z } },
-    reach: one(WHOLE_REACH) ? reach(height, { fy, cy }, { y, z }) : SHORT,
+    reach: reach(height, { fy, cy }, { y, z }),
     bytes: sections.reduce((end, section) => Math.max(end, section.end), start),
     photo,
     hidden,
@@ -95,7 +95,7 @@ export function readHead(bytes) {
  */
 function reach(height, { fy, cy }, { y, z }) {
   const farthest = fy * y + Math.max(Math.abs(cy), Math.abs(height - cy)) * Math.min(z, 1);
-  return Math.min(Math.max(Math.ceil(farthest + MARGIN), SHORT), FARTHEST);
+  return Math.min(Math.max(Math.ceil(farthest + MARGIN), NEAREST), FARTHEST);
 }
 
 /**

@@ -236,7 +236,6 @@ const GERMAN = {
   'First paint over what is at the wrong depth, then choose a place at the right depth.':
     'Erst übermalen, was in der falschen Tiefe liegt, dann eine Stelle in der richtigen Tiefe wählen.',
   'Now choose a place at the right depth.': 'Nun eine Stelle in der richtigen Tiefe wählen.',
-  'Earlier strokes are removed when you save.': 'Früher Gemaltes verschwindet beim Speichern.',
   'A photo has at most {0} strokes.': 'Ein Foto hat höchstens {0} Striche.',
   'Making the photo again…': 'Das Foto wird neu erstellt …',
   'The photo is not there yet.': 'Das Foto ist noch nicht da.',

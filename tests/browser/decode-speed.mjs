@@ -1,9 +1,9 @@
-// Measures the WebAssembly decoder of the pages: size, time compared with the JavaScript and native decoders, memory, main-thread time, and time to
-// the first view over a network link. Not a test; run it on an idle machine after `cargo build --release --workspace --examples`:
-//   node decode-speed.mjs [--rounds 6] [--runs 4] [--old fe415db] [--only sizes,decode,page,link] [--mbps 50] [--latency 40] PHOTO|FILE.tmpi…
-// Makes containers of each PHOTO in five sizes. `--old`: a commit whose static/ has the JavaScript decoder, or that folder, or nothing.
+// Measures the WebAssembly decoder of the pages: size, time compared with the native decoder, memory, main-thread time, and time to the first view
+// over a network link. Not a test; run it on an idle machine after `cargo build --release --workspace --examples`:
+//   node decode-speed.mjs [--rounds 6] [--runs 4] [--only sizes,decode,page,link] [--mbps 50] [--latency 40] PHOTO|FILE.tmpi…
+// Makes containers of each PHOTO in five sizes.
 import { execFileSync } from 'node:child_process';
-import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync } from 'node:fs';
+import { existsSync, mkdtempSync, readFileSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { basename, dirname, join } from 'node:path';
 import { parseArgs } from 'node:util';
@@ -20,14 +20,13 @@ const { values, positionals } = parseArgs({
   options: {
     rounds: { type: 'string', default: '6' },
     runs: { type: 'string', default: '4' },
-    old: { type: 'string', default: 'fe415db' },
     only: { type: 'string', default: 'sizes,decode,page,link' },
     mbps: { type: 'string', default: '50' },
     latency: { type: 'string', default: '40' },
   },
 });
 if (!positionals.length) {
-  console.error('usage: node decode-speed.mjs [--rounds N] [--runs N] [--old COMMIT|STATIC] [--only PARTS] PHOTO|FILE.tmpi…');
+  console.error('usage: node decode-speed.mjs [--rounds N] [--runs N] [--only PARTS] PHOTO|FILE.tmpi…');
   process.exit(2);
 }
 const [rounds, runs] = [values.rounds, values.runs].map(Number);
@@ -45,25 +44,6 @@ const median = (list) => {
   return (all[(all.length - 1) >> 1] + all[all.length >> 1]) / 2;
 };
 const range = (list) => `${median(list).toFixed(1)} ms (${Math.min(...list).toFixed(1)}–${Math.max(...list).toFixed(1)})`;
-
-/** static/ of another commit, or null. */
-function oldStatic(folder) {
-  if (!values.old || existsSync(join(values.old, 'container.js'))) return values.old || null;
-  const root = join(STATIC, '..');
-  try {
-    const archive = execFileSync('git', ['archive', values.old, 'static'], {
-      cwd: root,
-      maxBuffer: 1 << 28,
-      stdio: ['ignore', 'pipe', 'ignore'],
-    });
-    mkdirSync(folder);
-    execFileSync('tar', ['-x', '-C', folder], { input: archive });
-    return join(folder, 'static');
-  } catch {
-    console.log(`no commit ${values.old}: the JavaScript decoder is skipped`);
-    return null;
-  }
-}
 
 function sizes() {
   for (const name of ['decoder.wasm', 'unpacker.wasm']) {
@@ -84,23 +64,16 @@ function nativeMs(file) {
   );
 }
 
-async function decodeTimes(address, files, old) {
-  const kinds = old ? ['js', 'wasm'] : ['wasm'];
+async function decodeTimes(address, files) {
   for (const [file, name] of files.entries()) {
-    const all = await decodeRounds(address, { kinds, file, runs, rounds });
+    const all = await decodeRounds(address, { file, runs, rounds });
     console.log(basename(name));
-    const times = (kind, key) => all.map((round) => round[kind][key]);
-    for (const kind of kinds) console.log(`  ${kind.padEnd(7)}${TIMES.map((key) => `${key} ${range(times(kind, key))}`).join(', ')}`);
-    if (old) {
-      const ratio = (key) => `${key} ${median(all.map((round) => round.js[key] / round.wasm[key])).toFixed(2)}`;
-      console.log(`  js/wasm, paired rounds: ${TIMES.map(ratio).join(', ')}`);
-    }
+    const times = (key) => all.map((round) => round[key]);
+    console.log(`  ${TIMES.map((key) => `${key} ${range(times(key))}`).join(', ')}`);
     const native = nativeMs(name);
     if (native)
-      console.log(
-        `  native, one thread ${native.toFixed(1)} ms; warm wasm takes ${(median(times('wasm', 'warm')) / native).toFixed(2)} times that`,
-      );
-    console.log(`  memory ${Math.max(...times('wasm', 'memory')).toFixed(1)} MiB per megapixel`);
+      console.log(`  native, one thread ${native.toFixed(1)} ms; warm wasm takes ${(median(times('warm')) / native).toFixed(2)} times that`);
+    console.log(`  memory ${Math.max(...times('memory')).toFixed(1)} MiB per megapixel`);
   }
 }
 
@@ -134,10 +107,9 @@ try {
   const made = [];
   for (const photo of positionals.filter((name) => !name.endsWith('.tmpi'))) made.push(...(await containersOf(photo, folder)));
   const files = [...containers, ...made.map(({ container }) => container)];
-  const old = parts.includes('decode') ? oldStatic(join(folder, 'old')) : null;
-  const server = await startSpeedServer(files, old);
+  const server = await startSpeedServer(files);
   if (parts.includes('sizes')) sizes();
-  if (parts.includes('decode')) await decodeTimes(server.address, files, old);
+  if (parts.includes('decode')) await decodeTimes(server.address, files);
   if (parts.includes('page')) await pageThread(server.address, files);
   const photo = made.find((entry) => entry.photo.includes(LINK_SIZE))?.photo;
   if (parts.includes('link') && photo) await overLink(photo);

@@ -18,7 +18,7 @@ const PARTS = ['all', 'read', 'frame', 'layers', 'cells'];
 const WARM = 30;
 
 const at = (sorted, share) => sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * share))];
-const server = await startSpeedServer(positionals, null);
+const server = await startSpeedServer(positionals);
 try {
   for (const [file, name] of positionals.entries()) {
     const all = [];

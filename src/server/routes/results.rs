@@ -94,7 +94,7 @@ fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
     responses(
         (status = 200, description = "Grey PNG of 16 bits, δ = v / 65535, larger is nearer", body = String, content_type = "image/png"),
         (status = 304, description = "The client has it"),
-        (status = 404, description = "There is no such photo, or no map before strokes: it has none, or an older program made it"),
+        (status = 404, description = "There is no such photo, or it has no strokes"),
         (status = 409, description = "Not finished yet"),
     )
 )]
@@ -108,7 +108,7 @@ pub async fn depth(State(app): State<App>, PathPhoto(photo): PathPhoto, uri: Uri
     let cache_control = cache_control_for(pairs.get("v"), || app.version(&done));
     let file = app.file(&photo, Part::Disparity).await?;
     let head = file.source.head(strokes::HEAD).await.map_err(|e| Problem::store(&e))?;
-    let none = || Problem::not_found("there is no map before the strokes: the photo has no strokes, or an older program made it");
+    let none = || Problem::not_found("there is no map before the strokes: the photo has none");
     let (map, disk) = (strokes::before(&head).ok_or_else(none)?.to_vec(), app.temp_folder());
     let keep = tokio::task::spawn_blocking(move || StoredFile::derived(None, map, &disk, DiskFullPolicy::Memory));
     let file = keep.await.map_err(|e| Problem::internal("keeping a depth map", &e))??;

@@ -255,30 +255,6 @@ describe('touch-up', () => {
     await context.close();
   });
 
-  test('strokes of older programs can only be removed together', async () => {
-    const { page, context, id } = await opened(0.07);
-    // the response of an old photo
-    await page.route('**/depth?*before=strokes*', (route) => route.fulfill({ status: 404, json: { title: 'Not Found', status: 404 } }));
-    await start(page);
-    await slide(page, '#touch-size', 0.16);
-    await paint(page, along);
-    await slide(page, '#touch-amount', 0.3);
-    await page.locator('#touch-save').click();
-    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
-    await page.locator('#settings').waitFor();
-    await start(page);
-    assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.3)) < 3, 'the preview starts with the saved strokes');
-    assert.ok(await page.locator('#touch-undo').isDisabled());
-    await page.locator('#touch-clear').click();
-    // the notice stays while the user paints
-    await paint(page, [[0.1, 0.1]]);
-    assert.match(await page.locator('#touch-status').textContent(), /^Earlier strokes are removed when you save\. /);
-    await page.locator('#touch-save').click();
-    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
-    assert.equal((await strokes(page, id)).length, 1);
-    await context.close();
-  });
-
   test('undo, redo, cancel and remove all', async () => {
     const { page, context, errors, id, depth } = await opened(0.02);
     const untouched = await depth();

@@ -49,7 +49,11 @@ function hiddenSize(bytes) {
   while (at < end) {
     const key = Number(varint());
     if (key % 8 === 0) fields.set(key >> 3, Number(BigInt.asUintN(32, varint())));
-    else at += key % 8 === 1 ? 8 : key % 8 === 5 ? 4 : Number(varint());
+    else {
+      // `at +=` would read `at` before `varint` moves it
+      const length = key % 8 === 1 ? 8 : key % 8 === 5 ? 4 : Number(varint());
+      at += length;
+    }
   }
   const [blocks, columns] = [fields.get(14) ?? 0, fields.get(15) ?? 0];
   const size = [columns * 8, Math.ceil(blocks / columns) * 8];

@@ -84,7 +84,7 @@ describe('texture atlas', () => {
   const beyond = [];
   for (const count of [1, 2]) {
     test(`pages contain premultiplied texels, with other colours beyond the border (bands: ${count})`, async () => {
-      const bytes = new Uint8Array(readFileSync(new URL('../../golden/v1_3.tmpi', import.meta.url)));
+      const bytes = new Uint8Array(readFileSync(new URL('../../golden/v1_bands.tmpi', import.meta.url)));
       const { width, height } = readHead(bytes).scene;
       const photo = { width, height, data: Uint8Array.from({ length: width * height * 4 }, (_, i) => (i * 7 + (i >> 9)) & 255) };
       const scene = await decodeScene(bytes, async () => photo, count);

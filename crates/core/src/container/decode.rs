@@ -250,7 +250,7 @@ fn plane_section(index: &Index, body: &[u8], grid: &Grid, count: usize) -> Resul
     match find(index, Kind::Planes).filter(|s| s.codec() == Codec::Range) {
         Some(s) if s.raw_length != want as u64 => Err(ContainerError::broken("planes: wrong length")),
         Some(s) => planes::decode(planes::Layout::of(grid, count), range(s, body)?),
-        // packed with zstd: repetitive planes, and all planes until minor version 2
+        // packed with zstd: repetitive planes
         None => unpack(index, body, Kind::Planes, want),
     }
 }
@@ -286,7 +286,7 @@ pub(super) fn layer_geometry(
             t.labels = own.to_vec();
         }
     }
-    Ok(Geometry { grid, intrinsics, view_box, tiles, matted: index.matted, short_reach: !index.whole_reach })
+    Ok(Geometry { grid, intrinsics, view_box, tiles, matted: index.matted })
 }
 
 /// Applies the section of refined alphas to the soft texels, if there is one.

@@ -42,7 +42,7 @@ fn rows_of(index: &Index, rows: &Range<u32>) -> Result<Range<u32>, ContainerErro
     if rows.is_empty() || rows.end > grid.rows() {
         return Err(ContainerError::broken("rows of tiles out of range"));
     }
-    let (_, reach) = layers::farthest(&grid, &intrinsics, &view_box, !index.whole_reach);
+    let (_, reach) = layers::farthest(&grid, &intrinsics, &view_box);
     Ok(layers::pixel_rows(&grid, reach, rows))
 }
 

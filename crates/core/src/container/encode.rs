@@ -129,7 +129,6 @@ pub fn encode_in(
         hidden_blocks: blocks as u32,
         hidden_columns: per_row as u32,
         matted: geometry.matted,
-        whole_reach: !geometry.short_reach,
         sections: file.sections.clone(),
     };
     Ok(file.finish(&index))

@@ -20,14 +20,8 @@ pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
             }
         })
         .collect();
-    let geometry = Geometry {
-        grid,
-        intrinsics: Intrinsics::centred(width, height, 300.0),
-        view_box: ViewBox::cube(0.03),
-        tiles,
-        matted: false,
-        short_reach: false,
-    };
+    let geometry =
+        Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::cube(0.03), tiles, matted: false };
     let coloured = geometry
         .masks()
         .into_iter()

@@ -59,7 +59,7 @@ pub const MAGIC: [u8; 4] = *b"TMPI";
 /// Major version that is written, and the newest that can be read.
 pub const MAJOR: u16 = 1;
 /// Minor version that is written.
-pub const MINOR: u16 = 5;
+pub const MINOR: u16 = 0;
 /// Media type of a container.
 pub const MEDIA_TYPE: &str = "application/vnd.tmpi";
 

@@ -1,4 +1,4 @@
-//! Sections packed with zstd: planes that repeat from tile to tile, refined alphas, and all planes until minor version 2.
+//! Sections packed with zstd: planes that repeat from tile to tile, and refined alphas.
 
 use prost::Message;
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};

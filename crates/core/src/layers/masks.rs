@@ -59,8 +59,6 @@ pub struct Geometry {
     pub tiles: Vec<Tile>,
     /// True if pixels beside depth borders are decomposed into foreground and background.
     pub matted: bool,
-    /// True in containers until minor version 4: pruning searches at most 96 pixels, and takes no account of perspective.
-    pub short_reach: bool,
 }
 
 /// Classes and alphas of one layer.
@@ -203,10 +201,10 @@ impl Geometry {
             for (y, own) in s.own.chunks_mut(w).enumerate() {
                 visibility_kernels::disparities(&us, place.v(r.y + y as u32), &plane, own);
             }
-            let (behind, depth) = visibility_kernels::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
+            let behind = visibility_kernels::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
             if behind > 0 && !s.all {
-                let near = *nearest.get_or_insert_with(|| if self.short_reach { 0.0 } else { self.nearest_around(index, surface) });
-                let layer = Behind { r, place, plane: &plane, depth, near };
+                let near = *nearest.get_or_insert_with(|| self.nearest_around(index, surface));
+                let layer = Behind { r, place, plane: &plane, near };
                 out.never_seen += behind - self.keep_seen(&layer, surface, &mut s.hidden, &mut s.pruning);
             }
             let Some(layer) = mask(r, place, tile, label, plane, [parallax, usual], s) else { continue };
@@ -349,7 +347,6 @@ mod tests {
                 view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
                 tiles: vec![Tile { planes, labels, background: None }],
                 matted: false,
-                short_reach: false,
             };
             let shapes = b.masks().remove(0);
             let row = |s: &LayerMask| {

@@ -6,8 +6,8 @@
 
 use super::coarse_surface::BlockSearch;
 use super::dilation::{Dilation, dilate};
-use super::reach::{FINE_REACH, pixels};
-use super::{Geometry, Surface, TileFrame, grown, visibility_kernels};
+use super::reach::FINE_REACH;
+use super::{Geometry, Surface, TileFrame, visibility_kernels};
 use crate::scene::{Plane, Rect};
 
 /// A visible surface at most this far in front of a layer, in δ, does not cover it.
@@ -19,9 +19,7 @@ pub(super) struct Behind<'a> {
     pub r: Rect,
     pub place: TileFrame,
     pub plane: &'a Plane,
-    /// Maximum distance of its texels behind the surface, in δ.
-    pub depth: f64,
-    /// [`Geometry::nearest_around`] the tile; unused if the reach is short.
+    /// [`Geometry::nearest_around`] the tile.
     pub near: f64,
 }
 
@@ -43,15 +41,11 @@ impl Geometry {
     /// number of remaining texels.
     #[inline(never)]
     pub(super) fn keep_seen(&self, layer: &Behind, surface: &Surface, hidden: &mut [u8], scratch: &mut Pruning) -> usize {
-        let (Behind { r, place, plane, near, .. }, Pruning { us, open, reach: dilation, sums }) = (layer, scratch);
+        let (Behind { r, place, plane, near }, Pruning { us, open, reach: dilation, sums }) = (layer, scratch);
         let Some(bounds) = extent(hidden, r.w as usize) else { return 0 };
         // pixels farther than the radius from all hidden texels cannot uncover any
         let inner = Rect { x: r.x + bounds.x, y: r.y + bounds.y, ..bounds };
-        let (win, radius) = if self.short_reach {
-            self.short_window(layer, inner, surface)
-        } else {
-            self.search_window(inner, *near, place.least(plane, inner).max(0.0))
-        };
+        let (win, radius) = self.search_window(inner, *near, place.least(plane, inner).max(0.0));
         if radius.0.max(radius.1) > FINE_REACH
             && let Some(coarse) = surface.coarse()
         {
@@ -73,24 +67,6 @@ impl Geometry {
         }
         seen
     }
-
-    /// The search of minor versions until 4: pixels, and radius.
-    fn short_window(&self, layer: &Behind, inner: Rect, surface: &Surface) -> (Rect, (u32, u32)) {
-        let Behind { r, place, plane, depth, .. } = layer;
-        let parallax = self.view_box.parallax(&self.intrinsics, *r);
-        let radius = |step: f64| (pixels(step * parallax.0, FINE_REACH), pixels(step * parallax.1, FINE_REACH));
-        let (x, y) = radius(*depth);
-        let win = grown(*r, x, y, &self.grid);
-        let step = (surface.nearest(win, false) - place.least(plane, win).max(0.0)).max(*depth);
-        let radius = radius(step);
-        (common(win, grown(inner, radius.0, radius.1, &self.grid)), radius)
-    }
-}
-
-/// The intersection of two overlapping rectangles.
-fn common(a: Rect, b: Rect) -> Rect {
-    let (x, y) = (a.x.max(b.x), a.y.max(b.y));
-    Rect { x, y, w: (a.x + a.w).min(b.x + b.w) - x, h: (a.y + a.h).min(b.y + b.h) - y }
 }
 
 /// Bounds of the non-zero entries in a mask that is `w` pixels wide; `None` if there are none.
@@ -124,7 +100,6 @@ mod tests {
             view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
             tiles: vec![tile],
             matted: false,
-            short_reach: false,
         };
         let shapes = &b.masks()[0];
         let far = &shapes.layers[0];

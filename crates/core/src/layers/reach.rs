@@ -17,8 +17,7 @@ use super::coarse_surface::BLOCK;
 use super::{Geometry, Surface, TileFrame, grown};
 use crate::scene::{Grid, Intrinsics, Rect, ViewBox};
 
-/// Largest distance at which pruning compares single pixels; farther edges are found in [blocks](super::coarse_surface). In containers until
-/// minor version 4, the largest distance at all.
+/// Largest distance at which pruning compares single pixels; farther edges are found in [blocks](super::coarse_surface).
 pub(super) const FINE_REACH: u32 = 96;
 /// Largest distance that pruning searches, in pixels: what the view box of the program's options uncovers in the widest photo that a
 /// container holds. It bounds the work of readers.
@@ -64,12 +63,8 @@ pub fn work_of(grid: &Grid, planes: impl Iterator<Item = u64>) -> u64 {
     (0..grid.tiles()).zip(planes).map(|(i, n)| window_work(grid, i) * (n + 1)).sum()
 }
 
-/// Farthest that pruning searches for this camera and box, in pixels (horizontal, vertical), by the [short](Geometry::short_reach) rule or
-/// by that of surfaces with δ of at most 1.
-pub(crate) fn farthest(grid: &Grid, k: &Intrinsics, view_box: &ViewBox, is_short: bool) -> (u32, u32) {
-    if is_short {
-        return (FINE_REACH, FINE_REACH);
-    }
+/// Farthest that pruning searches for this camera and box, in pixels (horizontal, vertical), if surfaces have a δ of at most 1.
+pub(crate) fn farthest(grid: &Grid, k: &Intrinsics, view_box: &ViewBox) -> (u32, u32) {
     let (x, y) = view_box.uncovered(k, Rect { x: 0, y: 0, w: grid.width, h: grid.height }, 1.0, 0.0);
     (pixels(x, MAX_REACH), pixels(y, MAX_REACH))
 }
@@ -85,7 +80,7 @@ pub(crate) fn pixel_rows(grid: &Grid, reach: u32, rows: &Range<u32>) -> Range<u3
 }
 
 /// A distance in whole pixels with its margin, at most `most`.
-pub(super) fn pixels(distance: f64, most: u32) -> u32 {
+fn pixels(distance: f64, most: u32) -> u32 {
     ((distance + MARGIN).ceil() as u32).min(most)
 }
 
@@ -93,7 +88,7 @@ impl Geometry {
     /// Farthest that pruning searches for an edge that uncovers a hidden texel, in pixels (horizontal, vertical). Background planes are
     /// wanted from as far.
     pub fn reach(&self) -> (u32, u32) {
-        farthest(&self.grid, &self.intrinsics, &self.view_box, self.short_reach)
+        farthest(&self.grid, &self.intrinsics, &self.view_box)
     }
 
     /// True if pruning searches so far that it needs the surface in blocks.

@@ -47,36 +47,21 @@ fn disparities_body(us: &[f64], v: f64, plane: &Plane, out: &mut [f32]) {
     }
 }
 
-/// Number of lanes in the reductions.
-const LANES: usize = 8;
-
 dispatch!(
     /// Marks with 1 the pixels where a layer lies behind the visible surface. `own` is δ of the layer and `visible` that of the surface;
-    /// pixels with the layer's own `label` are not marked. Returns the number of marks and the greatest distance in δ.
-    pub behind, behind_body, (own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, mask: &mut [u8]) -> (usize, f64)
+    /// pixels with the layer's own `label` are not marked. Returns the number of marks.
+    pub behind, behind_body, (own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, mask: &mut [u8]) -> usize
 );
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
-fn behind_body(own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, mask: &mut [u8]) -> (usize, f64) {
+fn behind_body(own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, mask: &mut [u8]) -> usize {
     // labels end at 63, so no pixel has 255
     let label = label.unwrap_or(u8::MAX);
     for (((m, &d), &v), &l) in mask.iter_mut().zip(own).zip(visible).zip(labels) {
         *m = u8::from(l != label) & u8::from(d < v) & u8::from(d >= 0.0);
     }
-    let count = mask.iter().map(|&m| usize::from(m)).sum();
-    if count == 0 {
-        return (0, 0.0);
-    }
-    let mut step = [0f64; LANES];
-    let chunks = mask.chunks(LANES).zip(own.chunks(LANES)).zip(visible.chunks(LANES));
-    for ((m, d), v) in chunks {
-        for (((s, &m), &d), &v) in step.iter_mut().zip(m).zip(d).zip(v) {
-            let by = if m != 0 { f64::from(v) - f64::from(d) } else { 0.0 };
-            *s = if by > *s { by } else { *s };
-        }
-    }
-    (count, step.into_iter().fold(0.0, f64::max))
+    mask.iter().map(|&m| usize::from(m)).sum()
 }
 
 dispatch!(
@@ -144,6 +129,9 @@ fn open_body(us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mas
     }
 }
 
+/// Number of lanes in the reduction.
+const LANES: usize = 8;
+
 dispatch!(
     /// The maximum of the values, at least 0.
     pub nearest, nearest_body, (surface: &[f32]) -> f32
@@ -184,19 +172,16 @@ mod tests {
             disparities(&us, v, &plane, &mut own);
             let (mut mask, mut hidden) = (vec![9u8; n], vec![9u8; n]);
             open(&us, v, &plane, surface, 0.004, &mut mask);
-            let (count, step) = behind(&own, surface, &labels, label, &mut hidden);
-            let (mut want_count, mut want_step) = (0, 0f64);
+            let count = behind(&own, surface, &labels, label, &mut hidden);
+            let mut want_count = 0;
             for i in 0..n {
                 prop_assert_eq!(own[i].to_bits(), (plane.disparity(us[i], v) as f32).to_bits());
                 prop_assert_eq!(mask[i], u8::from(f64::from(surface[i]) <= f64::from(own[i]) + 0.004));
                 let is = Some(labels[i]) != label && own[i] < surface[i] && own[i] >= 0.0;
                 prop_assert_eq!(hidden[i], u8::from(is));
-                if is {
-                    want_count += 1;
-                    want_step = want_step.max(f64::from(surface[i]) - f64::from(own[i]));
-                }
+                want_count += usize::from(is);
             }
-            prop_assert_eq!((count, step.to_bits()), (want_count, want_step.to_bits()));
+            prop_assert_eq!(count, want_count);
             prop_assert_eq!(nearest(surface).to_bits(), surface.iter().copied().fold(0.0, f32::max).to_bits());
         }
     }

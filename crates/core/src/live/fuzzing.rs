@@ -20,7 +20,6 @@ pub fn message(data: &[u8]) {
                 view_box: ViewBox::cube(0.03),
                 tiles: Vec::new(),
                 matted: false,
-                short_reach: false,
             };
             let Ok(mut model) = TileState::new(&TileState::hello(&empty)) else { return };
             if model.take(&g).is_err() {

@@ -264,17 +264,7 @@ mod tests {
             Tile { planes: planes.clone(), labels, background: None }
         };
         let tiles = (0..grid.tiles()).map(of).collect();
-        (
-            Geometry {
-                grid,
-                intrinsics: Intrinsics::centred(W, H, 50.0),
-                view_box: ViewBox::cube(0.03),
-                tiles,
-                matted: false,
-                short_reach: false,
-            },
-            colours,
-        )
+        (Geometry { grid, intrinsics: Intrinsics::centred(W, H, 50.0), view_box: ViewBox::cube(0.03), tiles, matted: false }, colours)
     }
 
     #[test]

@@ -34,10 +34,7 @@ impl TileState {
             return Err(LiveError::broken(format!("tiles of {} pixels, below {MIN_TILE}", grid.size)));
         }
         let tiles = vec![Tile::default(); grid.tiles() as usize];
-        Ok(Self {
-            versions: vec![None; tiles.len()],
-            geometry: Geometry { grid, intrinsics, view_box, tiles, matted: false, short_reach: false },
-        })
+        Ok(Self { versions: vec![None; tiles.len()], geometry: Geometry { grid, intrinsics, view_box, tiles, matted: false } })
     }
 
     /// The HELLO message of a room whose tiles are those of `geometry`.

@@ -98,8 +98,7 @@ impl<'a> Prepared<'a> {
             _ => &self.snapped,
         };
         let tiles = place(map, None, &grid, &placement);
-        let mut geometry =
-            Geometry { grid, intrinsics: self.intrinsics, view_box: options.view_box, tiles, matted: false, short_reach: false };
+        let mut geometry = Geometry { grid, intrinsics: self.intrinsics, view_box: options.view_box, tiles, matted: false };
         if without != Without::Backgrounds {
             layers::add_backgrounds(&mut geometry, map);
         }

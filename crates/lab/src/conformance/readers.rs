@@ -25,7 +25,6 @@ pub(super) fn geometry((w, h): (u32, u32), size: u32, planes: &[Plane], label: i
         view_box: ViewBox { x: 0.1, y: 0.06, z: 0.0 },
         tiles: (0..grid.tiles()).map(tile).collect(),
         matted: false,
-        short_reach: false,
     }
 }
 

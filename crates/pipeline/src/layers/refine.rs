@@ -193,7 +193,6 @@ mod tests {
             view_box: ViewBox { x: 0.1, y: 0.1, z: 0.0 },
             tiles: (0..grid.tiles()).map(tile).collect(),
             matted: false,
-            short_reach: false,
         };
         let tiles = texture(&photo, &geometry, geometry.masks());
         (photo, geometry, tiles)

@@ -141,7 +141,7 @@ struct Part {
 impl Part {
     /// A tile and so many tiles to each side.
     fn around(photo: &Photo, geometry: &Geometry, tile: u32, by: u32) -> Self {
-        let Geometry { grid, intrinsics: k, view_box, tiles, short_reach, .. } = geometry;
+        let Geometry { grid, intrinsics: k, view_box, tiles, .. } = geometry;
         let (column, row) = (tile % grid.columns(), tile / grid.columns());
         let around = |at: u32, count: u32| at.saturating_sub(by)..(at + by + 1).min(count);
         let (columns, rows) = (around(column, grid.columns()), around(row, grid.rows()));
@@ -153,7 +153,7 @@ impl Part {
         let intrinsics = Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..*k };
         Self {
             photo: Photo { width: rect.w, height: rect.h, rgb },
-            geometry: Geometry { grid: own, intrinsics, view_box: *view_box, tiles, matted: false, short_reach: *short_reach },
+            geometry: Geometry { grid: own, intrinsics, view_box: *view_box, tiles, matted: false },
             tile: (row - rows.start) * own.columns() + column - columns.start,
         }
     }
@@ -235,7 +235,6 @@ mod tests {
             view_box: ViewBox { x: 0.01, y: 0.01, z: 0.0 },
             tiles: vec![tile],
             matted: false,
-            short_reach: false,
         };
         (photo, geometry)
     }
@@ -253,28 +252,26 @@ mod tests {
         };
         let intrinsics = Intrinsics::centred(width, 600, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(width));
         let tiles = (0..grid.tiles()).map(tile).collect();
-        (photo, Geometry { grid, intrinsics, view_box: Options::VIEW_BOX, tiles, matted: false, short_reach: false })
+        (photo, Geometry { grid, intrinsics, view_box: Options::VIEW_BOX, tiles, matted: false })
     }
 
-    #[test]
-    fn a_sample_sees_texels_that_pruning_wrongly_leaves_out_of_a_wide_photo() {
-        let (photo, geometry) = wide(4000);
-        // the search of older containers
-        let geometry = Geometry { short_reach: true, ..geometry };
-        let (all, some) = (verify(&photo, &geometry).unwrap(), sample(&photo, &geometry).unwrap().unwrap());
-        assert!(all.max_abs > 100 && all.share_off > 0.0, "{all:?}");
-        assert!(some.max_abs > 100 && some.share_off > 0.0 && some.tiles < all.tiles, "{some:?}");
+    /// Prunes for a view box of this share of the photo's own.
+    fn within(share: f64) -> impl Fn(&Geometry) -> Vec<LayerMasks> + Sync {
+        move |g| {
+            let ViewBox { x, y, z } = g.view_box;
+            Geometry { view_box: ViewBox { x: share * x, y: share * y, z: share * z }, ..g.clone() }.masks()
+        }
     }
 
     #[test]
     fn the_share_of_missing_pixels_is_that_of_the_band_beyond_the_search() {
         let (photo, geometry) = wide(4000);
-        let geometry = Geometry { view_box: ViewBox { x: 0.12, y: 0.0, z: 0.0 }, short_reach: true, ..geometry };
+        let geometry = Geometry { view_box: ViewBox { x: 0.12, y: 0.0, z: 0.0 }, ..geometry };
         let planes = &geometry.tiles[0].planes;
-        // 96 pixels are searched sideways, and 2 up and down
-        let band = geometry.intrinsics.fx * 0.12 * (planes[1].a - planes[0].a) - 96.0;
+        // a third of the way is searched sideways, and 2 pixels up and down
+        let band = geometry.intrinsics.fx * 0.08 * (planes[1].a - planes[0].a);
         let want = band * (300.0 - 4.0) / (4000.0 * 600.0);
-        let found = verify(&photo, &geometry).unwrap().share_off;
+        let found = compare(&photo, &geometry, &within(1.0 / 3.0), &cameras(&geometry)).unwrap().share_off;
         assert!((found - want).abs() < 0.15 * want, "{found} of {want}");
     }
 
@@ -289,10 +286,14 @@ mod tests {
 
     #[test]
     fn a_sample_sees_pruning_for_a_smaller_view_box() {
-        let (photo, geometry) = wide(960);
-        let smaller = |g: &Geometry| Geometry { view_box: ViewBox { x: 0.7 * g.view_box.x, ..g.view_box }, ..g.clone() }.masks();
-        let some = sample_of(&photo, &geometry, &smaller).unwrap().unwrap();
-        assert!(some.max_abs > 100 && some.share_off > 0.0, "{some:?}");
+        for (width, share) in [(960, 0.7), (4000, 0.2)] {
+            let (photo, geometry) = wide(width);
+            let all = compare(&photo, &geometry, &within(share), &cameras(&geometry)).unwrap();
+            let some = sample_of(&photo, &geometry, &within(share)).unwrap().unwrap();
+            assert!(all.max_abs > 100 && all.share_off > 0.0, "{width}: {all:?}");
+            assert!(some.max_abs > 100 && some.share_off > 0.0, "{width}: {some:?}");
+            assert!(width == 960 || some.tiles < all.tiles, "{width}: {some:?}");
+        }
     }
 
     #[test]

@@ -16,19 +16,14 @@ pub struct Input {
     /// File size in bytes.
     pub bytes: usize,
     /// The file is damaged or truncated, and part of the picture is grey or coarse.
-    #[serde(default)]
     pub damaged: bool,
     /// The photo was scaled down to fit into the memory limit for making.
-    #[serde(default)]
     pub fitted: bool,
     /// The depth map that came with the photo; null if depth was estimated.
-    #[serde(default)]
     pub depth: Option<InputDepth>,
     /// Why the depth embedded in the photo, or a second picture, was not used.
-    #[serde(default)]
     pub depth_problem: Option<String>,
     /// Number of touch-up strokes applied to the depth.
-    #[serde(default)]
     pub strokes: usize,
 }
 
@@ -138,7 +133,6 @@ pub struct PruneError {
 
 /// Errors of the approximations, each against the input of its step; null if the step was not applied.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(default)]
 pub struct ErrorFigures {
     /// Error of scaling the photo down.
     pub reduction: Option<Reduction>,
@@ -217,7 +211,6 @@ pub struct Report {
     pub peak_rss_bytes: u64,
     /// Upper bound of the memory for making, in bytes: the formula by which photos are admitted, with the number of planes that were
     /// placed.
-    #[serde(default)]
     pub memory_bound_bytes: u64,
     /// Number of tiles.
     pub tiles: usize,
@@ -226,7 +219,6 @@ pub struct Report {
     /// Mean number of planes per tile.
     pub planes_per_tile: f64,
     /// Number of texels of all layers that are not empty.
-    #[serde(default)]
     pub texels: usize,
     /// What this scene did not need.
     pub left_out: LeftOut,
@@ -235,6 +227,5 @@ pub struct Report {
     /// Errors of the approximations.
     pub error: ErrorFigures,
     /// Effect of the time budget; null if none was given.
-    #[serde(default)]
     pub budget: Option<Budget>,
 }

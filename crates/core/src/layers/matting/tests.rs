@@ -171,10 +171,7 @@ fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
             };
             let rgb = (0..width * height).map(|i| colour(i % width, i / width)).collect();
             let (tiles, intrinsics) = ((0..grid.tiles()).map(tile).collect(), Intrinsics::centred(width, height, 60.0));
-            (
-                Photo { width, height, rgb },
-                Geometry { grid, intrinsics, view_box: ViewBox { x: 0.2, y: 0.1, z: 0.0 }, tiles, matted: true, short_reach: false },
-            )
+            (Photo { width, height, rgb }, Geometry { grid, intrinsics, view_box: ViewBox { x: 0.2, y: 0.1, z: 0.0 }, tiles, matted: true })
         },
     )
 }

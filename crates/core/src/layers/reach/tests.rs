@@ -85,7 +85,7 @@ impl Screen {
         };
         let intrinsics = Intrinsics::centred(width, height, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(width));
         let tiles = (0..grid.tiles()).map(tile).collect();
-        let geometry = Geometry { grid, intrinsics, view_box, tiles, matted: false, short_reach: false };
+        let geometry = Geometry { grid, intrinsics, view_box, tiles, matted: false };
         Self { geometry, xs, ys, is_frame }
     }
 
@@ -162,9 +162,9 @@ fn cameras_that_move_forward_see_no_gaps() {
     for (z, planes) in [(0.5, [0.5, 1.0]), (0.5, [0.8, 1.0]), (0.9, [0.85, 1.0]), (0.999, [0.95, 1.0])] {
         let frame = Screen::frame((1000, 160), planes, ViewBox { x: 0.02, y: 0.0, z });
         assert_eq!(frame.wrong(&frame.geometry.masks()), (0, 0), "{z} {planes:?}");
-        // without perspective, there are gaps
-        let short = Geometry { short_reach: true, ..frame.geometry.clone() };
-        assert!(frame.wrong(&short.masks()).0 > 1000, "{z} {planes:?}: the fault is not noticed");
+        // pruned for cameras that do not, it has gaps
+        let sideways = Geometry { view_box: ViewBox { z: 0.0, ..frame.geometry.view_box }, ..frame.geometry.clone() };
+        assert!(frame.wrong(&sideways.masks()).0 > 1000, "{z} {planes:?}: the fault is not noticed");
     }
 }
 
@@ -173,9 +173,9 @@ fn a_photo_of_4000_pixels_has_no_gaps_in_the_box_of_the_options() {
     let slab = Screen::slab((4000, 180), [0.05, 1.0], ViewBox { x: 0.12, y: 0.0, z: 0.06 });
     assert!(slab.geometry.searches_blocks() && slab.geometry.tiles_beyond_reach() == 0);
     assert_eq!(slab.wrong(&slab.geometry.masks()), (0, 0));
-    // 96 pixels are too few
-    let short = Geometry { short_reach: true, ..slab.geometry.clone() };
-    assert!(slab.wrong(&short.masks()).0 > 10_000);
+    // pruned for a third of the box, it has gaps
+    let narrow = Geometry { view_box: ViewBox { x: 0.04, y: 0.0, z: 0.02 }, ..slab.geometry.clone() };
+    assert!(slab.wrong(&narrow.masks()).0 > 10_000);
 }
 
 #[test]
@@ -213,7 +213,7 @@ fn a_nearer_surface_in_the_neighbourhood_counts() {
         Tile { planes: vec![Plane::fronto_parallel(0.1).quantised(), near], labels, background: None }
     };
     let (tiles, view_box) = ((0..grid.tiles()).map(tile).collect(), ViewBox { x: 0.3, y: 0.0, z: 0.0 });
-    let geometry = Geometry { grid, intrinsics: Intrinsics::centred(640, 64, 300.0), view_box, tiles, matted: false, short_reach: false };
+    let geometry = Geometry { grid, intrinsics: Intrinsics::centred(640, 64, 300.0), view_box, tiles, matted: false };
     let masks = geometry.masks();
     // 0.85 · 90 pixels from the edge at 300 lies in tile 3, whose own surface uncovers only 27
     let kept = |x: u32| {
@@ -227,9 +227,8 @@ fn a_nearer_surface_in_the_neighbourhood_counts() {
 #[test]
 fn the_reach_follows_from_the_camera_and_its_box() {
     let (grid, k) = (Grid::new(150, 100, 64), Intrinsics::centred(150, 100, 300.0));
-    let reach = |y: f64, z: f64| farthest(&grid, &k, &ViewBox { x: 0.0, y, z }, false).1;
+    let reach = |y: f64, z: f64| farthest(&grid, &k, &ViewBox { x: 0.0, y, z }).1;
     assert_eq!([reach(0.0, 0.0), reach(0.03, 0.03), reach(1.0, 0.03), reach(0.5, 5.0), reach(10.0, 0.0)], [2, 12, 303, 202, 1664]);
-    assert_eq!(farthest(&grid, &k, &ViewBox::cube(10.0), true), (96, 96));
 }
 
 #[test]

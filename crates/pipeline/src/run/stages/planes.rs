@@ -100,14 +100,7 @@ impl Stage for Planes {
             context.report.budget = Some(budget);
         }
         let mut placement = options.placement(max_error, most_px);
-        let scene = |tiles| Geometry {
-            grid,
-            intrinsics: prepared.intrinsics,
-            view_box: options.view_box,
-            tiles,
-            matted: false,
-            short_reach: false,
-        };
+        let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles, matted: false };
         if let Some(last) = &mut self.last {
             placement.most = placement.most.min(most_planes(&grid)).min(last.most.unwrap_or(u32::MAX));
             return Ok(Placed { geometry: scene(last.place(map, &grid, &placement)), placement });
