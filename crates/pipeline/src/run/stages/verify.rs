@@ -34,11 +34,7 @@ impl Stage for Verify {
 }
 
 fn pruned(made: &Encoded, all: bool) -> Result<Option<PruneError>, MakeError> {
-    Ok(if all {
-        Some(prune_error::verify(&made.scene.photo, &made.geometry)?)
-    } else {
-        prune_error::sample(&made.scene.photo, &made.geometry)?
-    })
+    Ok(if all { Some(prune_error::verify(&made.geometry)?) } else { prune_error::sample(&made.geometry)? })
 }
 
 /// Errors of what a reader of the container draws.
