@@ -200,7 +200,7 @@ fn prune(quick: bool) -> Plan {
     Plan {
         id: "prune",
         title: "Pruning of unseen texels",
-        about: "Pixels that differ by more than 8 levels between views with and without the pruned texels, at the corners and side centres of the view box; the worst of these cameras.",
+        about: "Pixels of which pruned texels would take more than 8 levels of 255, at the corners and side centres of the view box; the worst of these cameras.",
         axes: (Axis::new("texels per pixel", false, Some(false)), Axis::new("wrongly pruned, % of pixels", false, Some(false))),
         curves: vec![("view box", all.iter().map(one).collect())],
     }

@@ -120,12 +120,12 @@ pub struct PlaneError {
     pub rounding_px: f64,
 }
 
-/// Effect on views from the view box of pruning texels that are never seen.
+/// What pruning leaves out of views from the view box.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PruneError {
-    /// Largest difference of any channel, in levels, 0 to 255.
+    /// Largest part of a pixel that texels left out would take, in levels, 0 to 255: no channel differs by more.
     pub max_abs: u8,
-    /// Share of pixels, 0 to 1, that differ by more than 8 levels, in the view where this share is largest.
+    /// Share of pixels, 0 to 1, of which they would take more than 8 levels, in the view where this share is largest.
     pub share_off: f64,
     /// Number of tiles in the compared parts: all with `verify-prune`, else those around some of the tiles with the largest steps in depth.
     pub tiles: usize,

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use super::*;
 use crate::depth::to_png;
 use crate::photo::Limits;
-use tmpi_core::Photo;
+use tmpi_core::{Photo, container};
+use tmpi_render::{difference::psnr, draw_reference_view};
 use tmpi_testing::pictures::{noise, waves as photo};
 
 fn made(photo: &[u8], depth: &DisparityMap, options: &Options) -> Made {
@@ -27,6 +28,21 @@ fn the_error_bound_holds_if_the_planes_suffice() {
     }
     let fixed = made(&photo(300, 200), &slopes, &Options { planes: PlaneCount::Fixed(2), ..plain() }).report.error.planes;
     assert_eq!((fixed.bound_px, fixed.missed_tiles, fixed.most_planes), (None, 0, 2));
+}
+
+#[test]
+fn the_reference_view_is_measured_as_readers_draw_it() {
+    // as a whole, and in the pixels of three rows of tiles that no other rows overlap
+    for (height, rows) in [(200, vec![0..100, 100..200]), (1400, vec![288..336, 960..1008, 1352..1400])] {
+        let (width, file) = (100, photo(100, height));
+        let made = made(&file, &DisparityMap::from_fn(width, height, noise), &plain());
+        let view = draw_reference_view(&container::decode(&made.container).unwrap()).unwrap();
+        let shown: Vec<u8> = view.rgba.iter().flat_map(|p| [p[0], p[1], p[2]]).collect();
+        let want = image::load_from_memory(&file).unwrap().into_rgb8().into_raw();
+        let of_rows = |all: &[u8]| rows.iter().flat_map(|r| all[r.start * 300..r.end * 300].to_vec()).collect::<Vec<u8>>();
+        let (found, drawn) = (made.report.error.identity_psnr, psnr(&of_rows(&shown), &of_rows(&want)));
+        assert!((found - drawn).abs() < 1e-3, "{found}, drawn {drawn}");
+    }
 }
 
 #[test]
