@@ -126,7 +126,7 @@ pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, 
             headers(("Location" = String, description = "Its address, relative to this one"))),
         (status = 400, description = "A parameter is unknown"),
         (status = 403, description = "No valid token: a page of another site always needs one"),
-        (status = 404, description = "The group does not exist, or not any more"),
+        (status = 404, description = "The group does not exist yet, or not any more; ask again after `Retry-After`"),
         (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io;
 use std::pin::pin;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -11,6 +12,7 @@ use axum::http::Response;
 use bytes::Bytes;
 use futures_util::{Stream, StreamExt as _, stream};
 use tokio::sync::watch;
+use tokio::time::Instant;
 
 use super::gop_store::Group;
 use crate::server::Problem;
@@ -19,6 +21,8 @@ use crate::server::Problem;
 const KEPT: usize = 4;
 /// How long to keep a whole group, for viewers that read it slowly or come late.
 const KEPT_FOR: Duration = Duration::from_secs(30);
+/// Most bytes of all groups of all rooms. Beyond them, the oldest whole groups go, and a group that still finds no room breaks off.
+const MOST_BYTES: usize = 64 << 20;
 
 /// A room's name and one of its groups.
 pub type RoomGroup = (String, Group);
@@ -30,6 +34,8 @@ struct Arrived {
     found: Option<Result<(), Problem>>,
     pieces: Vec<Bytes>,
     end: Option<End>,
+    /// Since when it is whole.
+    whole_since: Option<Instant>,
 }
 
 /// How a group ended.
@@ -44,12 +50,22 @@ enum End {
 type Arriving = Arc<watch::Sender<Arrived>>;
 
 /// The groups that are being fetched or kept.
-#[derive(Default)]
-pub struct GroupRelay(Mutex<BTreeMap<RoomGroup, Arriving>>);
+pub struct GroupRelay {
+    groups: Mutex<BTreeMap<RoomGroup, Arriving>>,
+    /// Bytes of their pieces.
+    bytes: AtomicUsize,
+    most: usize,
+}
+
+impl Default for GroupRelay {
+    fn default() -> Self {
+        Self { groups: Mutex::default(), bytes: AtomicUsize::new(0), most: MOST_BYTES }
+    }
+}
 
 impl GroupRelay {
     fn lock(&self) -> MutexGuard<'_, BTreeMap<RoomGroup, Arriving>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.groups.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// A group as it arrives. `fetch` asks the origin for it, unless another viewer has done so.
@@ -87,14 +103,14 @@ impl GroupRelay {
                 groups.remove(&key);
             }
             drop(groups);
-            drop_pieces(&group);
+            relay.drop_pieces(&group);
         });
         arrived
     }
 
     /// Fetches a group, and keeps it for a while if it is whole; gives up once no viewer wants it.
     async fn keep(&self, key: &RoomGroup, fetch: impl Future<Output = Result<Response<Body>, Problem>>, group: &Arriving) {
-        let mut fill = pin!(fill(fetch, group));
+        let mut fill = pin!(self.fill(fetch, group));
         loop {
             tokio::select! {
                 is_whole = &mut fill => {
@@ -123,36 +139,55 @@ impl GroupRelay {
         let whole: Vec<RoomGroup> = of_room.map(|(key, _)| key.clone()).collect();
         for key in whole.iter().rev().skip(KEPT) {
             if let Some(group) = groups.remove(key) {
-                drop_pieces(&group);
+                self.drop_pieces(&group);
             }
         }
     }
-}
 
-/// Frees the memory of a group that viewers may still read.
-fn drop_pieces(group: &Arriving) {
-    group.send_modify(|group| {
-        group.pieces = Vec::new();
-        group.end = Some(End::Broken);
-    });
-}
-
-/// Reads an origin's answer; returns whether it is whole.
-async fn fill(fetch: impl Future<Output = Result<Response<Body>, Problem>>, group: &Arriving) -> bool {
-    let mut body = match fetch.await {
-        Ok(answer) => answer.into_body().into_data_stream(),
-        Err(problem) => {
-            group.send_modify(|group| group.found = Some(Err(problem)));
-            return false;
-        }
-    };
-    group.send_modify(|group| group.found = Some(Ok(())));
-    while let Some(piece) = body.next().await {
-        let Ok(piece) = piece else { return false };
-        group.send_modify(|group| group.pieces.push(piece));
+    /// Frees the memory of a group that viewers may still read.
+    fn drop_pieces(&self, group: &Arriving) {
+        group.send_modify(|group| {
+            let pieces = std::mem::take(&mut group.pieces);
+            self.bytes.fetch_sub(pieces.iter().map(Bytes::len).sum(), Ordering::Relaxed);
+            group.end = Some(End::Broken);
+        });
     }
-    group.send_modify(|group| group.end = Some(End::Whole));
-    true
+
+    /// Adds a piece to a group, in place of the oldest whole groups if all take too many bytes; false if it finds no room.
+    fn add(&self, group: &Arriving, piece: Bytes) -> bool {
+        // only this adds bytes, under the lock
+        let mut groups = self.lock();
+        while self.bytes.load(Ordering::Relaxed) + piece.len() > self.most {
+            let whole = groups.iter().filter_map(|(key, group)| Some((group.borrow().whole_since?, key)));
+            let Some(oldest) = whole.min().map(|(_, key)| key.clone()) else { return false };
+            if let Some(oldest) = groups.remove(&oldest) {
+                self.drop_pieces(&oldest);
+            }
+        }
+        self.bytes.fetch_add(piece.len(), Ordering::Relaxed);
+        group.send_modify(|group| group.pieces.push(piece));
+        true
+    }
+
+    /// Reads an origin's answer; returns whether it is whole.
+    async fn fill(&self, fetch: impl Future<Output = Result<Response<Body>, Problem>>, group: &Arriving) -> bool {
+        let mut body = match fetch.await {
+            Ok(answer) => answer.into_body().into_data_stream(),
+            Err(problem) => {
+                group.send_modify(|group| group.found = Some(Err(problem)));
+                return false;
+            }
+        };
+        group.send_modify(|group| group.found = Some(Ok(())));
+        while let Some(piece) = body.next().await {
+            let Ok(piece) = piece else { return false };
+            if !self.add(group, piece) {
+                return false;
+            }
+        }
+        group.send_modify(|group| (group.end, group.whole_since) = (Some(End::Whole), Some(Instant::now())));
+        true
+    }
 }
 
 /// The pieces of a group, as they arrive.
@@ -246,6 +281,28 @@ mod tests {
         viewer.abort();
         assert!(gone.await.is_err(), "the request ends");
         assert!(relay.lock().is_empty());
+    }
+
+    #[tokio::test]
+    async fn groups_of_all_rooms_make_place_for_newer_ones() {
+        let relay = Arc::new(GroupRelay { most: 10, ..GroupRelay::default() });
+        let get = async |room: &str, text: &'static str| {
+            let key = (room.to_owned(), Group { epoch: 1, number: 0 });
+            whole(relay.get(key, async move { Ok(Response::new(Body::from(text))) }).await.unwrap()).await
+        };
+        for room in ["one", "two", "three"] {
+            assert_eq!(get(room, "four").await.unwrap(), "four");
+        }
+        let kept: Vec<String> = relay.lock().keys().map(|(room, _)| room.clone()).collect();
+        assert_eq!((kept, relay.bytes.load(Ordering::Relaxed)), (vec!["three".to_owned(), "two".to_owned()], 8));
+        assert_eq!(get("large", "more than ten").await, None);
+        while !relay.lock().is_empty() {
+            tokio::task::yield_now().await;
+        }
+        while relay.bytes.load(Ordering::Relaxed) > 0 {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(get("next", "ten").await.unwrap(), "ten");
     }
 
     #[tokio::test]

@@ -135,7 +135,7 @@ impl Nodes {
     /// Sends an HTTP request to the origin, with a path relative to the room's.
     ///
     /// # Errors
-    /// 404 if the origin answers so, 503 if it does not answer.
+    /// 404 if the origin answers so, with its `Retry-After`; 503 if it does not answer.
     pub async fn fetch(&self, origin: &Origin, room: &str, path: &str, headers: HeaderMap) -> Result<Response<Body>, Problem> {
         let silent = |error: &dyn fmt::Display| {
             tracing::warn!(%error, origin = origin.address, room, "the origin of a room does not answer");
@@ -147,16 +147,31 @@ impl Nodes {
             self.http.get(format!("{}/v1/live/{room}{path}", origin.address)).headers(headers).header(header::AUTHORIZATION, bearer);
         let answer = request.send().await.map_err(|e| silent(&e))?;
         match answer.status() {
-            StatusCode::NOT_FOUND => Err(none_publishes()),
+            StatusCode::NOT_FOUND => Err(not_there(answer.headers())),
             status if status.is_client_error() || status.is_server_error() => Err(silent(&status)),
             _ => Ok(Response::from(answer).map(Body::new)),
         }
     }
 }
 
+/// An origin's answer that it does not have something. If it may have it soon, it says when to ask again.
+fn not_there(headers: &HeaderMap) -> Problem {
+    let again = headers.get(header::RETRY_AFTER).and_then(|value| value.to_str().ok()?.parse().ok());
+    again.map_or_else(none_publishes, |seconds| Problem::not_found("the room's node does not have it").retry_after(seconds))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_origin_says_when_to_ask_again() {
+        let after = |text: &'static str| not_there(&HeaderMap::from_iter([(header::RETRY_AFTER, text.parse().unwrap())]));
+        assert_eq!((after("3").status, after("3").retry_after), (404, Some(3)));
+        for none in [after("soon"), after("-1"), not_there(&HeaderMap::new())] {
+            assert_eq!(none, none_publishes());
+        }
+    }
 
     #[test]
     fn a_node_address_has_a_host_and_no_path() {

@@ -1,6 +1,6 @@
 // Continues a scene beyond the photo's borders, so that no camera in the view box sees past them. As in crates/render/src/border.rs, the
-// shape of the scene is mirrored, so that the continuation moves with the photo. The decoder continues a photo's
-// colours; those of a room are mirrored, too.
+// shape of the scene is mirrored, so that the continuation moves with the photo. Its colours are those at the border, blurred more with the
+// distance: of a photo, the decoder computes them; of a room, the shader, from the border's means.
 import { margins } from '../view/camera-limits.js';
 
 /** @import { Layers, SceneHead } from '../decode/scene.js' */

@@ -20,7 +20,7 @@ export const INSTANCE_FLOATS = 12;
  * @param {Piece[]} pieces
  * @param {{page: ArrayLike<number>, atlasX: ArrayLike<number>, atlasY: ArrayLike<number>}} places of the pieces' upper left corners on the
  *   pages. For a mirrored piece that shares the layer's unmirrored texels: minus the right side (x) or the lower side (y), from which the
- *   texels run backward
+ *   texels run backward; the shader then takes the colours from the border's means
  * @returns {Instances}
  */
 export function instances(scene, pieces, { page, atlasX, atlasY }) {

@@ -14,21 +14,26 @@
 // BUFFERS (little-endian f32, tightly packed)
 //
 // Uniform `View`, group 0 binding 0, 112 bytes, visible to the vertex stage:
-//     0  R column 0: x y z, unused        48  t: x y z, near                                 96  target width, target height (pixels)
-//    16  R column 1: x y z, unused        64  reference camera: fx fy cx cy (pixels)        104  half: half a tile, pixels
-//    32  R column 2: x y z, unused        80  target camera: fx fy cx cy (pixels)           108  overlay: 0 none, 1 disparity, 2 tiles, 3 planes, 4 error
-//     near: the distance at depth 1, in units of the photo's nearest distance; the server uses 1/1024.
+//     0  R column 0: x y z, photo width   48  t: x y z, near                                 96  target width, target height (pixels)
+//    16  R column 1: x y z, photo height  64  reference camera: fx fy cx cy (pixels)        104  half: half a tile, pixels
+//    32  R column 2: x y z, page width    80  target camera: fx fy cx cy (pixels)           108  overlay: 0 none, 1 disparity, 2 tiles, 3 planes, 4 error
+//     near: the distance at depth 1, in units of the photo's nearest distance; the server uses 1/1024. Sizes of photo and page are for the
+//     border's means (below) and may be 0 without them.
 //
 // Instance, one vertex buffer, stepMode `instance`, arrayStride 48, three float32x4 attributes:
 //     0  location 0: plane a b c, page (integer part: layer of the texture array; fraction: error of the tile for overlay 4, 0 to 1)
 //    16  location 1: tile centre x y, rectangle x y       (reference pixels; the tile centre is the origin of u, v)
 //    32  location 2: rectangle w h, atlas x y             (texels; upper left corner of the rectangle on its page; −x: its right side,
-//                                                         from which columns run backward, and −y: its lower side)
+//                                                         from which columns run backward, and −y: its lower side. Such a rectangle lies
+//                                                         beyond the photo's border: its alpha runs backward, its colours are the border's)
 //     The rectangle is the part that is drawn: it starts and ends at the border of a texel, or at the centre of one if the layer
 //     continues there (the outermost texels of a tile are sampled, but not drawn where the next tile has the same pixels).
 //
 // Group 0 binding 1: the atlas, texture_2d_array<f32>, rgba8unorm, PREMULTIPLIED, one mip level; view dimension `2d-array` even with
 // one page. Rectangles need no gutter between them, because coordinates are clamped to the texels' centres.
+// The last 28 rows of the first page are the border's means if any columns or rows run backward: those of the left, right, upper and lower
+// border, for each of them the means over squares of 1, 2, … 64 pixels (`BorderColours::strips` in crates/core). A border of more pixels
+// than the page has columns but one is reduced to them; its last texel repeats.
 // Group 0 binding 2: sampler, magFilter and minFilter `linear`, clamp-to-edge.
 //
 // DRAWING: draw(VERTICES = 18, instances), primitive `triangle-list`, cullMode none. Colour is premultiplied, in the photo's own
@@ -55,6 +60,13 @@ struct View {
 
 // Sampled alpha from which a texel counts as opaque.
 const OPAQUE: f32 = 0.99;
+// Sizes of squares in the border's means, and rows for all four borders.
+const SIZES: f32 = 7.0;
+const BORDER_ROWS: f32 = 28.0;
+// Pixels beyond the border per pixel of blur radius, the widest radius, and pixels over which an instance's own colours fade.
+const PIXELS_PER_RADIUS: f32 = 2.0;
+const MOST_RADIUS: f32 = 64.0;
+const FADE: f32 = 2.0;
 
 struct Instance {
     @location(0) plane_page: vec4f,
@@ -71,6 +83,9 @@ struct Varyings {
     @location(2) @interpolate(flat) page: i32,
     // w = 0: no overlay; w > 0: mix in rgb by w; w < 0: grey level of depth · −w.
     @location(3) @interpolate(flat) overlay: vec4f,
+    // Pixels beyond the right (x) and lower border (y), negative beyond the left and upper one, 0 for texels that do not run backward; then
+    // the column in the means of the upper and lower border, and of the left and right one.
+    @location(4) border: vec4f,
 }
 
 // A distinct colour for each v.
@@ -105,6 +120,15 @@ fn overlay_of(i: Instance) -> vec4f {
 fn delta_at(s: vec2f, i: Instance) -> f32 {
     let uv = (s * i.size_atlas.xy + i.centre_origin.zw - i.centre_origin.xy) / view.size_half.z;
     return i.plane_page.x + i.plane_page.y * uv.x + i.plane_page.z * uv.y;
+}
+
+// `border` of the reference pixel `at`; all of an instance lies on the same side of each border.
+fn border_of(at: vec2f, i: Instance) -> vec4f {
+    let photo = vec2f(view.r0.w, view.r1.w);
+    let outside = select(at - photo, at, i.centre_origin.zw < vec2f(0.0));
+    let beyond = select(vec2f(0.0), outside, i.size_atlas.zw < vec2f(0.0));
+    let columns = min(photo, vec2f(view.r2.w - 1.0));
+    return vec4f(beyond, clamp(at, vec2f(0.0), photo) * columns / max(photo, vec2f(1.0)));
 }
 
 // Vertices 0 to 8: the triangle fan of the part with δ ≥ 0; 9 to 17: that of the part beyond infinity. A line splits a rectangle into parts
@@ -144,11 +168,13 @@ fn corner_of(vertex: u32, i: Instance) -> Varyings {
     out.bounds = vec4f(floor(min(first, first + run)) + 0.5, ceil(max(first, first + run)) - 0.5);
     out.page = i32(i.plane_page.w);
     out.overlay = overlay_of(i);
+    let at = place[pick] * rect + i.centre_origin.zw;
+    out.border = border_of(at, i);
     if (n < 3u) {
         out.clip = vec4f(0.0, 0.0, 0.0, 1.0);
         return out;
     }
-    let x = (place[pick] * rect + i.centre_origin.zw - view.k_ref.zw) / view.k_ref.xy;
+    let x = (at - view.k_ref.zw) / view.k_ref.xy;
     let d = delta[pick];
     let p = view.r0.xyz * x.x + view.r1.xyz * x.y + view.r2.xyz + view.t_near.xyz * d;
     let pixel = view.k_out.xy * p.xy + view.k_out.zw * p.z;
@@ -171,8 +197,21 @@ fn vs_webgl(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
 }
 
 fn colour(v: Varyings) -> vec4f {
-    let texel = clamp(v.texel, v.bounds.xy, v.bounds.zw);
-    return textureSampleLevel(atlas, linear_clamp, texel / vec2f(textureDimensions(atlas)), v.page, 0.0);
+    let size = vec2f(textureDimensions(atlas));
+    let own = textureSampleLevel(atlas, linear_clamp, clamp(v.texel, v.bounds.xy, v.bounds.zw) / size, v.page, 0.0);
+    let beyond = abs(v.border.xy);
+    let far = max(beyond.x, beyond.y);
+    if (far == 0.0) {
+        return own;
+    }
+    // the colours at the border, as crates/core continues those of photos
+    let radius = min(1.0 + far / PIXELS_PER_RADIUS, MOST_RADIUS);
+    let side = select(vec2f(0.0, 2.0), vec2f(1.0, 3.0), v.border.xy > vec2f(0.0));
+    let row = size.y - BORDER_ROWS + SIZES * side + log2(radius) + 0.5;
+    let beside = textureSampleLevel(atlas, linear_clamp, vec2f(v.border.w, row.x) / size, 0, 0.0).rgb;
+    let above = textureSampleLevel(atlas, linear_clamp, vec2f(v.border.z, row.y) / size, 0, 0.0).rgb;
+    let continued = mix(beside, above, beyond.y / (beyond.x + beyond.y));
+    return vec4f(mix(own.rgb, own.a * continued, min(1.0, far / FADE)), own.a);
 }
 
 // Premultiplied colour under the overlay; near is bright.

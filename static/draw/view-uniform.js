@@ -19,9 +19,11 @@ export const UNIFORM_BYTES = 112;
  * @param {(t: number[]) => number} near
  * @param {number} overlay
  */
-export function viewUniform({ intrinsics, tileSize }, { pose, k, width, height }, near, overlay) {
+export function viewUniform(scene, { pose, k, width, height }, near, overlay) {
+  const { intrinsics, tileSize, atlas } = scene;
   const { r, t } = extrinsics(pose);
-  const column = (/** @type {number} */ j) => [r[j], r[3 + j], r[6 + j], 0];
+  const sizes = [scene.width, scene.height, atlas.width];
+  const column = (/** @type {number} */ j) => [r[j], r[3 + j], r[6 + j], sizes[j]];
   const camera = (/** @type {typeof k} */ c) => [c.fx, c.fy, c.cx, c.cy];
   const rest = [...t, near(t), ...camera(intrinsics), ...camera(k), width, height, tileSize / 2, overlay];
   return new Float32Array([...column(0), ...column(1), ...column(2), ...rest]);

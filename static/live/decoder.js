@@ -134,14 +134,15 @@ export class RoomDecoder {
   }
 
   /**
-   * Computes the texels of layers.
+   * Computes the texels of layers, and the means along the frame's borders.
    * @param {Uint32Array} layers two numbers each: the tile, and the layer's index in the tile
+   * @param {number} columns of the means (crates/core's `BorderColours::strips`); 0 for none
    * @param {ArrayBuffer} [scratch] a buffer to reuse if it is large enough
-   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, row by row, one layer after another
+   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, row by row, one layer after another, then the means
    */
-  cells(layers, scratch) {
+  cells(layers, columns, scratch) {
     this.#instance.hand(new Uint8Array(layers.buffer, layers.byteOffset, layers.byteLength));
-    this.#instance.call('tmpi_cells');
+    this.#instance.call('tmpi_cells', columns);
     const texels = this.#instance.output(CELLS);
     const out = scratch && scratch.byteLength >= texels.length ? new Uint8Array(scratch, 0, texels.length) : new Uint8Array(texels.length);
     out.set(texels);

@@ -1,5 +1,6 @@
 // Places the layers of a room's tiles on texture pages. Each layer has its own cell, so that a changed tile moves no other tile. The
-// mirrored continuation of a layer beyond the picture's border uses the same texels, backward.
+// continuation of a layer beyond the picture's border uses the same texels, backward, for its shape; its colours come from the means along
+// the border, below the cells of the first page (draw/tmpi.wgsl).
 
 import { tileCounts } from '../decode/grid.js';
 import { pieces as piecesOf } from '../draw/border.js';
@@ -11,7 +12,7 @@ import { instances } from '../draw/instances.js';
 /** @import { ChangedTile } from './decoder.js' */
 
 /**
- * Texels of pieces, one piece after another, and five numbers for each: page, x, y, width and height.
+ * Texels of pieces, one piece after another, then the border's means, and five numbers for each: page, x, y, width and height.
  * @typedef {{data: Uint8Array<ArrayBuffer>, places: Uint32Array<ArrayBuffer>}} Cells
  */
 /**
@@ -24,6 +25,8 @@ const PAGE_SIDE = 2048;
 /** Initial count of cells: so many per tile, plus a reserve. */
 const CELLS_PER_TILE = 6;
 const RESERVE = 32;
+/** Rows of the border's means, as in tmpi.wgsl. */
+const BORDER_ROWS = 28;
 
 export class TileAtlas {
   #head;
@@ -34,6 +37,8 @@ export class TileAtlas {
   #free = [];
   #columnsPerPage = 0;
   #rowsPerPage = 0;
+  #maxColumns;
+  #maxRows;
 
   /**
    * @param {SceneHead} head
@@ -44,16 +49,16 @@ export class TileAtlas {
     const { columns, tiles } = tileCounts(head);
     this.#columns = columns;
     this.#tiles = Array.from({ length: tiles }, () => ({ layers: [], pieces: [], cells: [] }));
-    this.#maxPerSide = Math.max(1, Math.floor(Math.min(PAGE_SIDE, side) / head.tileSize));
+    const most = Math.min(PAGE_SIDE, side);
+    this.#maxColumns = Math.max(1, Math.floor(most / head.tileSize));
+    this.#maxRows = Math.max(1, Math.floor((most - BORDER_ROWS) / head.tileSize));
     this.#reserve(tiles * CELLS_PER_TILE + RESERVE);
   }
 
-  #maxPerSide;
-
   /** @param {number} count of cells */
   #reserve(count) {
-    this.#columnsPerPage = Math.min(this.#maxPerSide, Math.ceil(Math.sqrt(count)));
-    this.#rowsPerPage = Math.min(this.#maxPerSide, Math.ceil(count / this.#columnsPerPage));
+    this.#columnsPerPage = Math.min(this.#maxColumns, Math.ceil(Math.sqrt(count)));
+    this.#rowsPerPage = Math.min(this.#maxRows, Math.ceil(count / this.#columnsPerPage));
     this.pages = Math.ceil(count / (this.#columnsPerPage * this.#rowsPerPage));
     const all = this.#columnsPerPage * this.#rowsPerPage * this.pages;
     this.#free = Array.from({ length: all }, (_, i) => all - 1 - i);
@@ -62,12 +67,18 @@ export class TileAtlas {
   /** Size of a page. */
   get size() {
     const { tileSize } = this.#head;
-    return { width: this.#columnsPerPage * tileSize, height: this.#rowsPerPage * tileSize };
+    return { width: this.#columnsPerPage * tileSize, height: this.#rowsPerPage * tileSize + BORDER_ROWS };
+  }
+
+  /** Columns of the border's means: one for each pixel of the longest border and one more, or as many as a page has. */
+  get borderColumns() {
+    const { width, height } = this.#head;
+    return Math.min(Math.max(width, height) + 1, this.size.width);
   }
 
   /**
-   * Applies changed tiles; returns the layers whose texels must be written, and their places. `grown`: the cells ran out, and all tiles
-   * have new places on larger pages.
+   * Applies changed tiles; returns the layers whose texels must be written, and their places and that of the border's means. `grown`: the
+   * cells ran out, and all tiles have new places on larger pages.
    * @param {ChangedTile[]} changed
    */
   change(changed) {
@@ -109,6 +120,7 @@ export class TileAtlas {
         places.push(page, x, y, w, h);
       }
     }
+    places.push(0, 0, this.size.height - BORDER_ROWS, this.borderColumns, BORDER_ROWS);
     return { numbers: Uint32Array.from(numbers), places: Uint32Array.from(places) };
   }
 

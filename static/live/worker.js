@@ -430,7 +430,7 @@ class Room {
     this.#atlas ??= new TileAtlas(head, this.#request.side);
     let { numbers, places, reshaped, grown } = this.#atlas.change(changed);
     if (!this.#sceneSent) ({ numbers, places } = this.#atlas.all());
-    const cells = { places, data: this.#decoder.cells(numbers, this.#scratch) };
+    const cells = { places, data: this.#decoder.cells(numbers, this.#atlas.borderColumns, this.#scratch) };
     this.#scratch = undefined;
     const drawn = reshaped || !this.#sceneSent ? this.#atlas.drawn() : null;
     const made = performance.now() - started;

@@ -118,7 +118,8 @@ fn viewers_at_edge_and_origin_receive_the_same_bytes() {
     assert_eq!((at_edge.status, at_edge.header("content-type"), &at_edge.body), (200, Some("application/vnd.tmpi.live"), &at_origin.body));
     assert_eq!(at_edge.header("cache-control"), Some("private, max-age=31536000, immutable"));
     for node in [&a, &b] {
-        assert_eq!(node.room("attic", &format!("/gops/{}-999", here.epoch)).status, 404);
+        let missing = node.room("attic", &format!("/gops/{}-999", here.epoch));
+        assert_eq!((missing.status, missing.header("retry-after")), (404, Some("1")));
         assert_eq!(node.room("garden", path).status, 404);
     }
 }

@@ -7,7 +7,7 @@ use prost::bytes::Bytes;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Bye, Hello, Sound, Statistics, Video};
 use tmpi_core::live::{Changes, Colour, FrameTiming, I420, KeyFrame, Layers, TileState, VERSION, key_frame, read, to_rgb, write};
-use tmpi_core::{Class, Photo};
+use tmpi_core::{BorderColours, Class, Photo};
 
 /// Results that can be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,7 +25,7 @@ pub enum Output {
     Tiles = 4,
     /// Numbers of the layers of tiles whose layers changed, 64-bit floats, row by row (see `Decoder::layers`).
     Layers = 5,
-    /// Texels of the layers requested last, premultiplied RGBA, row by row, layer after layer.
+    /// Texels of the layers requested last, premultiplied RGBA, row by row, layer after layer, and the border's means.
     Cells = 6,
     /// The last message written.
     Message = 7,
@@ -251,17 +251,22 @@ impl Decoder {
         texels.len() as i32
     }
 
-    /// Stores the texels of the layers in the input buffer, each a pair of 32-bit numbers: the tile, and the layer's index in it.
+    /// Stores the texels of the layers in the input buffer, each a pair of 32-bit numbers: the tile, and the layer's index in it. Then come the
+    /// means along the frame's borders, [`BorderColours::strips`] of `columns`, from which the shader continues the frame.
     ///
     /// # Errors
     /// A layer does not exist.
-    pub fn cells(&mut self) -> Result<i32, String> {
+    pub fn cells(&mut self, columns: usize) -> Result<i32, String> {
         self.cells.clear();
         for numbers in self.input.as_chunks().0 {
             let both = u64::from_le_bytes(*numbers);
             if !self.layers.texels(both as u32, (both >> 32) as usize, &mut self.cells) {
                 return Err("there is no such layer".into());
             }
+        }
+        if columns > 0 {
+            let Photo { width, height, rgb } = self.layers.photo();
+            self.cells.extend(BorderColours::new(rgb, [*width, *height], 0).strips(columns));
         }
         Ok(1)
     }

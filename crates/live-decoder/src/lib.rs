@@ -52,11 +52,12 @@ pub extern "C" fn tmpi_layers() -> i32 {
     call(|decoder| Ok(decoder.layers()))
 }
 
-/// Stores the texels of the layers in the input buffer, two 32-bit numbers each: the tile, and the layer's index in it.
+/// Stores the texels of the layers in the input buffer, two 32-bit numbers each: the tile, and the layer's index in it. Then come the means
+/// along the frame's borders, 28 rows of `columns` texels.
 #[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
-pub extern "C" fn tmpi_cells() -> i32 {
-    call(Decoder::cells)
+pub extern "C" fn tmpi_cells(columns: usize) -> i32 {
+    call(|decoder| decoder.cells(columns))
 }
 
 /// Writes HELLO of a publisher. The input buffer has the codec strings of video and sound, one per line.

@@ -1,4 +1,4 @@
-// A room continues beyond its borders: mirrored instances look the same as mirrored copies of the texels.
+// A room continues beyond its borders with the colours at them, blurred more with the distance, and not as a mirror image.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
@@ -15,12 +15,19 @@ const POSES = [
   { tx: -0.03, ty: -0.03, tz: 0.01, yaw: 0, pitch: 0, roll: 0 },
 ];
 
-/** In the page: draws views of the room with mirrored instances, then with mirrored copies. */
+/** The largest difference, in levels, of pixels that count as the same. */
+const SAME = 8;
+
+/**
+ * In the page: draws views of the room, then of the same room with mirror images beyond its borders: first a wide one from the home position,
+ * where each pixel beyond a border is opposite to its mirror image, then one from each pose, then their depths.
+ */
 async function drawViews({ seeds, poses, webgpu, width, height }) {
   const { compiled, PIXELS, RoomDecoder } = await import('/static/live/decoder.js');
   const { TileAtlas } = await import('/static/live/tile-atlas.js');
   const { pieces: piecesOf } = await import('/static/draw/border.js');
   const { instances } = await import('/static/draw/instances.js');
+  const { margins } = await import('/static/view/camera-limits.js');
   const decoder = await RoomDecoder.of(await compiled());
   const messages = seeds.map((text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
   const { head } = decoder.read(messages[0]);
@@ -33,11 +40,11 @@ async function drawViews({ seeds, poses, webgpu, width, height }) {
   const changed = decoder.layers();
   const atlas = new TileAtlas(head, 2048);
   const { numbers, places } = atlas.change(changed);
-  const cells = { places, data: decoder.cells(numbers) };
+  const cells = { places, data: decoder.cells(numbers, atlas.borderColumns) };
   const one = atlas.drawn();
   const scene = { ...head, ...one, atlas: { ...atlas.size, pages: atlas.pages, wide: false, strips: [] }, decodeMs: 0 };
 
-  // copy each piece to its own square of a page
+  // the fault: a copy of each piece, mirrored beyond the borders, in its own square of a page
   const texels = new Map();
   let offset = 0;
   let layer = 0;
@@ -69,6 +76,9 @@ async function drawViews({ seeds, poses, webgpu, width, height }) {
   const where = { page: pieces.map(() => 0), atlasX: at.map(([x]) => x), atlasY: at.map(([, y]) => y) };
   const other = { ...scene, instances: instances({ ...head, layers: one.layers }, pieces, where) };
   other.atlas = { width: side, height: side, pages: 1, wide: false, strips: [] };
+  const margin = margins(head);
+  const { fx, fy, cx, cy } = head.intrinsics;
+  const wide = { fx, fy, cx: cx + margin.x, cy: cy + margin.y };
   const views = [];
   for (const [input, filled] of [
     [scene, cells],
@@ -78,13 +88,44 @@ async function drawViews({ seeds, poses, webgpu, width, height }) {
       ? await (await import('/static/draw/webgpu.js')).WebGpuRenderer.create(input, () => {})
       : await (await import('/static/draw/webgl.js')).WebGlRenderer.create(document.createElement('canvas'), input, () => {});
     renderer.update({ instances: null, cells: filled });
-    for (const pose of poses) {
-      const data = await renderer.readPixels(pose, head.intrinsics, width, height);
-      views.push(btoa(String.fromCharCode(...data)));
+    const text = (data) => btoa(data.reduce((all, byte) => all + String.fromCharCode(byte), ''));
+    views.push(text(await renderer.readPixels(poses[0], wide, width + 2 * margin.x, height + 2 * margin.y)));
+    for (const overlay of [0, 1]) {
+      renderer.overlay = overlay;
+      for (const pose of poses) views.push(text(await renderer.readPixels(pose, head.intrinsics, width, height)));
     }
     renderer.dispose();
   }
-  return { views, mirrored: pieces.filter(({ flipX, flipY }) => flipX || flipY).length, size: [head.width, head.height] };
+  const mirrored = pieces.filter(({ flipX, flipY }) => flipX || flipY).length;
+  return { views, margin: [margin.x, margin.y], mirrored, size: [head.width, head.height] };
+}
+
+/**
+ * What a wide view shows beyond the borders: the share of pixels that look like their mirror images, and the mean difference, in levels, of
+ * neighbours along the outermost lines.
+ * @param {Uint8ClampedArray} pixels
+ * @param {number[]} margin
+ */
+function beyond(pixels, [marginX, marginY]) {
+  const [across, down] = [WIDTH + 2 * marginX, HEIGHT + 2 * marginY];
+  const at = (x, y, c) => pixels[(y * across + x) * 4 + c];
+  const mirror = (v, margin, size) => (v < margin ? 2 * margin - 1 - v : v < margin + size ? v : 2 * (margin + size) - 1 - v);
+  let [alike, all] = [0, 0];
+  let [steps, lines] = [0, 0];
+  for (let y = 0; y < down; y++) {
+    for (let x = 0; x < across; x++) {
+      const [mx, my] = [mirror(x, marginX, WIDTH), mirror(y, marginY, HEIGHT)];
+      if (mx === x && my === y) continue;
+      all++;
+      if ([0, 1, 2].every((c) => Math.abs(at(x, y, c) - at(mx, my, c)) <= SAME)) alike++;
+      // the corners are smooth in either case
+      const next = [0, across - 1].includes(x) && my === y ? [x, y + 1] : [0, down - 1].includes(y) && mx === x ? [x + 1, y] : null;
+      if (!next) continue;
+      lines++;
+      steps += [0, 1, 2].reduce((sum, c) => sum + Math.abs(at(x, y, c) - at(...next, c)) / 3, 0);
+    }
+  }
+  return { alike: alike / all, steps: steps / lines };
 }
 
 for (const [name, webgpu] of [
@@ -94,22 +135,37 @@ for (const [name, webgpu] of [
   describe(`a room beyond its borders, ${name}`, () => {
     const suite = boxSuite({ webgpu });
 
-    test('looks like mirrored copies of its texels', async () => {
+    test('continues the colours at them and shows no mirror image', async () => {
       const { page, context } = await openPage(suite.browser);
       await page.goto(`${suite.server.url}/view/box`);
       const given = { seeds: SEEDS, poses: POSES, webgpu, width: WIDTH, height: HEIGHT };
-      const { views, mirrored, size } = await page.evaluate(drawViews, given);
-      assert.ok(mirrored > 0);
+      const { views, margin, mirrored, size } = await page.evaluate(drawViews, given);
+      assert.ok(mirrored > 0 && margin.every((v) => v >= 10), `${mirrored} pieces, ${margin} pixels`);
       assert.deepEqual(size, [WIDTH, HEIGHT]);
       const pixels = views.map((text) => new Uint8ClampedArray(Buffer.from(text, 'base64')));
-      POSES.forEach((_, i) => {
-        const [actual, expected] = [pixels[i], pixels[i + POSES.length]];
-        assert.equal(fractionDifferent(actual, expected, WIDTH, HEIGHT, { levels: 2 }), 0, `view ${i}`);
-        const empty = actual.filter((v, k) => k % 4 === 3 && v < 255).length;
-        assert.ok(empty < 0.02 * WIDTH * HEIGHT, `view ${i}: ${empty} pixels are not covered`);
-      });
-      // the second view sees beyond the border
-      assert.ok(fractionDifferent(pixels[0], pixels[1], WIDTH, HEIGHT) > 0.3);
+      const count = 1 + 2 * POSES.length;
+      const [room, faulty] = [pixels.slice(0, count), pixels.slice(count)];
+      const [shown, mirrors] = [beyond(room[0], margin), beyond(faulty[0], margin)];
+      assert.ok(mirrors.alike > 0.9 && mirrors.steps > 30, `mirror images are found: ${JSON.stringify(mirrors)}`);
+      assert.ok(shown.alike < 0.2 && shown.steps < mirrors.steps / 4, JSON.stringify({ shown, mirrors }));
+      // within the borders, both are the same
+      const [across, down] = [WIDTH + 2 * margin[0], HEIGHT + 2 * margin[1]];
+      const [x0, y0] = [margin[0] / across, margin[1] / down];
+      // half a pixel for rounding
+      const [halfX, halfY] = [0.5 / across, 0.5 / down];
+      const within = { levels: 2, x0: x0 + halfX, y0: y0 + halfY, x1: 1 - x0 - halfX, y1: 1 - y0 - halfY };
+      assert.equal(fractionDifferent(room[0], faulty[0], across, down, within), 0);
+      assert.equal(fractionDifferent(room[1], faulty[1], WIDTH, HEIGHT, { levels: 2 }), 0);
+      // and so is the shape anywhere
+      for (let i = 1 + POSES.length; i < count; i++) {
+        assert.equal(fractionDifferent(room[i], faulty[i], WIDTH, HEIGHT, { levels: 2 }), 0, `depths of view ${i}`);
+      }
+      for (const view of room) {
+        const empty = view.filter((v, k) => k % 4 === 3 && v < 255).length;
+        assert.ok(empty < (0.02 * view.length) / 4, `${empty} pixels are not covered`);
+      }
+      // the second pose sees beyond the border
+      assert.ok(fractionDifferent(room[1], room[2], WIDTH, HEIGHT) > 0.3);
       await context.close();
     });
   });

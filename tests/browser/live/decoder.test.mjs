@@ -34,7 +34,7 @@ describe('the room decoder', () => {
     assert.equal(changed.length, 6);
     const atlas = new TileAtlas(head, 2048);
     const { numbers } = atlas.change(changed);
-    const cells = decoder.cells(numbers);
+    const cells = decoder.cells(numbers, 0);
     const same = new Uint8Array(head.width * head.height);
     let end = 0;
     for (let k = 0; k < numbers.length; k += 2) {
@@ -51,11 +51,31 @@ describe('the room decoder', () => {
       }
     }
     assert.equal(end, cells.length);
-    const again = decoder.cells(numbers, new ArrayBuffer(cells.length + 9));
+    const again = decoder.cells(numbers, 0, new ArrayBuffer(cells.length + 9));
     assert.deepEqual(again, cells);
     assert.equal(again.buffer.byteLength, cells.length + 9, 'the decoder reuses the given buffer');
-    assert.deepEqual(decoder.cells(numbers, new ArrayBuffer(9)), cells, 'a small buffer is replaced');
+    assert.deepEqual(decoder.cells(numbers, 0, new ArrayBuffer(9)), cells, 'a small buffer is replaced');
     assert.ok(same.every(Boolean), `${same.filter((v) => !v).length} pixels are in no layer`);
+  });
+
+  test('adds the means along the borders as the atlas places them', () => {
+    const rgba = picture();
+    decoder.frame(PIXELS.RGBA, rgba);
+    decoder.read(seed('snapshot'));
+    const changed = decoder.layers();
+    const atlas = new TileAtlas(head, 2048);
+    const { numbers, places } = atlas.change(changed);
+    const cells = decoder.cells(numbers, atlas.borderColumns);
+    const texels = decoder.cells(numbers, 0);
+    const [w, h] = places.subarray(-2);
+    assert.equal(cells.length, texels.length + w * h * 4);
+    assert.ok(Buffer.from(cells.subarray(0, texels.length)).equals(Buffer.from(texels)));
+    const texel = (row, column) => [...cells.subarray(texels.length + (row * w + column) * 4).subarray(0, 4)];
+    const pixel = (x, y) => [...rgba.subarray((y * head.width + x) * 4).subarray(0, 4)];
+    // of squares of one pixel, for each border
+    const [right, lower] = [head.width - 1, head.height - 1];
+    for (let y = 0; y < head.height; y++) assert.deepEqual([texel(0, y), texel(7, y)], [pixel(0, y), pixel(right, y)], `row ${y}`);
+    for (let x = 0; x < head.width; x++) assert.deepEqual([texel(14, x), texel(21, x)], [pixel(x, 0), pixel(x, lower)], `column ${x}`);
   });
 
   test('reports which tiles a frame changes', () => {

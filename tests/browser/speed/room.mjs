@@ -60,7 +60,7 @@ async function measure({ file }) {
     const layered = performance.now();
     if (changed.length) {
       atlas ??= new TileAtlas(hello.head, 4096);
-      scratch = decoder.cells(atlas.change(changed).numbers, scratch).buffer;
+      scratch = decoder.cells(atlas.change(changed).numbers, atlas.borderColumns, scratch).buffer;
     }
     const done = performance.now();
     times.push({

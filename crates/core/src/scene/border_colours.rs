@@ -10,7 +10,7 @@ use super::Class;
 /// within 96 of it along the border, the margin that a band of rows has around its tiles.
 const COARSEST: usize = 6;
 
-/// Pixels beyond the border per pixel of blur radius.
+/// Pixels beyond the border per pixel of blur radius. As in `tmpi.wgsl`.
 const PIXELS_PER_RADIUS: f32 = 2.0;
 
 /// One of the two borders across an axis.
@@ -32,6 +32,9 @@ pub struct BorderColours {
 }
 
 impl BorderColours {
+    /// Number of rows of [`Self::strips`].
+    pub const STRIPS: usize = 4 * (COARSEST + 1);
+
     /// Takes the means of a photo of `size` (width, height); `rgb` holds whole rows from row `top` on. Colours beyond the upper or lower
     /// border need the 96 rows next to it.
     pub fn new(rgb: &[[u8; 3]], size: [u32; 2], top: u32) -> Self {
@@ -64,6 +67,25 @@ impl BorderColours {
             let [r, g, b] = mix([r, g, b].map(f32::from), colour, share).map(|v| (v + 0.5) as u8);
             *texel = [r, g, b, alpha];
         }
+    }
+
+    /// The means for a shader that continues the colours itself (`tmpi.wgsl`): rows of `columns` opaque texels, one for each size of squares
+    /// of the left, the right, the upper and the lower border. A border of more pixels than `columns` − 1 is reduced to them; the texels
+    /// after its end repeat the last one.
+    pub fn strips(&self, columns: usize) -> Vec<[u8; 4]> {
+        let mut out = Vec::with_capacity(Self::STRIPS * columns);
+        for (axis, sides) in self.sides.iter().enumerate() {
+            let pixels = self.size[1 - axis];
+            let used = pixels.min(columns.saturating_sub(1)).max(1);
+            let place = |column: usize| ((2 * column + 1) * pixels / (2 * used)).min(pixels.saturating_sub(1));
+            for (side, n) in sides.iter().flat_map(|side| (0..=COARSEST).map(move |n| (side, n))) {
+                out.extend((0..columns).map(|column| {
+                    let [r, g, b] = side.at(n, place(column)).map(|v| (v + 0.5) as u8);
+                    [r, g, b, u8::MAX]
+                }));
+            }
+        }
+        out
     }
 
     /// The colour of the mirror image of a pixel (x, y), and the radius of its blur.
@@ -253,6 +275,38 @@ mod tests {
         let mut empty = [[0; 4]; 3];
         of.recolour((0, 50), LEFT, &[Class::Empty as u8; 3], &mut empty);
         assert_eq!(empty, [[0; 4]; 3]);
+    }
+
+    #[test]
+    fn strips_have_the_means_along_each_border() {
+        let (width, height) = (140, 90);
+        let at = |x: u32, y: u32| (x * 7 + y * 13) as u8;
+        let of = colours(width, height, at);
+        let red = |columns: usize, row: usize, column: usize| of.strips(columns)[row * columns + column][0];
+        let sizes = BorderColours::STRIPS / 4;
+        // squares of one pixel are the border itself
+        for place in 0..90 {
+            assert_eq!((red(141, 0, place), red(141, sizes, place)), (at(0, place as u32), at(139, place as u32)), "row {place}");
+        }
+        for place in 0..140 {
+            let found = (red(141, 2 * sizes, place), red(141, 3 * sizes, place));
+            assert_eq!(found, (at(place as u32, 0), at(place as u32, 89)), "column {place}");
+        }
+        assert!((90..141).all(|column| red(141, 0, column) == at(0, 89)) && red(141, 2 * sizes, 140) == at(139, 0), "the last repeats");
+        // larger squares: at the start of each border, the mean of the whole square
+        for n in [1, 3, 6] {
+            let side = 1_u32 << n;
+            let mean = |left: u32, top: u32| {
+                let pixels = (0..side * side).map(|i| u32::from(at(left + i % side, top + i / side)));
+                ((pixels.sum::<u32>() + side * side / 2) / (side * side)) as u8
+            };
+            let found: Vec<u8> = (0..4).map(|border| red(141, border * sizes + n, 0)).collect();
+            assert_eq!(found, [mean(0, 0), mean(width - side, 0), mean(0, 0), mean(0, height - side)], "squares of {side}");
+        }
+        // fewer columns than pixels: the last one of those used is next to the end
+        assert_eq!((red(71, 2 * sizes, 0), red(71, 2 * sizes, 69), red(71, 2 * sizes, 70)), (at(1, 0), at(139, 0), at(139, 0)));
+        assert_eq!((of.strips(0).len(), of.strips(1).len()), (0, BorderColours::STRIPS));
+        assert_eq!(BorderColours::default().strips(2), [[0, 0, 0, 255]; 2 * BorderColours::STRIPS]);
     }
 
     #[test]

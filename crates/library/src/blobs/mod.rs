@@ -32,7 +32,8 @@ const DIGITS: usize = 16;
 const PROBE: &str = "probe";
 /// Start of the name of a claim of the store, before the id of its library.
 const CLAIM: &str = "probe/claim-";
-/// Age in milliseconds at which a claim counts as left behind by a crash.
+/// Age in milliseconds at which a claim counts as left behind by a crash. Its announcement stays until `gc` deletes it after a day, like all
+/// blobs of [`PROBE`]: a claim does not delete those of others, which may still be looking at the store.
 const CLAIM_ENDS: Millis = 15 * 60 * 1000;
 /// Name of the blob with the id of the store's library.
 const LIBRARY: &str = "library-id";
