@@ -70,6 +70,13 @@ impl Presets {
         self.only
     }
 
+    /// The name of each preset, and what its options are of: `view`, `film` or `photo`.
+    pub fn names(&self) -> impl Iterator<Item = (&str, &'static str)> {
+        let kind = |options: &Parameters| if options.iter().any(|(option, _)| option == "path") { "film" } else { "view" };
+        let views = self.views.iter().map(move |(name, options)| (name.as_str(), kind(options)));
+        views.chain(self.photos.keys().map(|name| (name.as_str(), "photo")))
+    }
+
     /// Replaces a preset among the parameters of a view or film by its options; other options need `free`.
     ///
     /// # Errors

@@ -169,6 +169,23 @@ export async function fetchNetwork() {
 }
 
 /**
+ * The server's presets, and whether it refuses other options from this browser.
+ * @typedef {{presets: {name: string, kind: 'photo' | 'view' | 'film'}[], only: boolean}} Presets
+ */
+
+/**
+ * The server's presets; none if it does not tell.
+ * @returns {Promise<Presets>}
+ */
+export async function getPresets() {
+  try {
+    return await (await request(at('/v1/presets'))).json();
+  } catch {
+    return { presets: [], only: false };
+  }
+}
+
+/**
  * Makes a photo again; it is done or under way then.
  * @param {string} id
  * @returns {Promise<Photo>}

@@ -1,7 +1,7 @@
 // The page of all photos: uploads new ones, shows their progress, and lists the finished ones.
 
 import { translatePage } from '../i18n/messages.js';
-import { deletePhoto } from './api.js';
+import { deletePhoto, getPresets } from './api.js';
 import { enliven } from './card-motion.js';
 import { deleteLater, handedOver } from './delete-later.js';
 import { pairs } from './depth-pairs.js';
@@ -35,6 +35,30 @@ eye.addEventListener('change', () => {
   map.value = '';
 });
 
+const preset = $('preset', HTMLSelectElement);
+
+/** Offers the presets of photos, and the quality where neither a preset nor the server rules it out. */
+async function offerPresets() {
+  const { presets, only } = await getPresets();
+  const names = presets.filter(({ kind }) => kind === 'photo').map(({ name }) => name);
+  preset.append(...names.map((name) => new Option(name)));
+  $('preset-option').hidden = !names.length;
+  const offerQuality = () => {
+    $('quality-option').hidden = only || preset.value !== '';
+  };
+  preset.addEventListener('change', offerQuality);
+  offerQuality();
+}
+
+/**
+ * Options of the next photos.
+ * @returns {Record<string, string | number>}
+ */
+function options() {
+  if (preset.value) return { preset: preset.value };
+  return $('quality-option').hidden ? {} : QUALITIES[$('quality', HTMLSelectElement).value];
+}
+
 /** @param {Found[]} found */
 function take(found) {
   const photos = pairs(found);
@@ -45,7 +69,7 @@ function take(found) {
     map.value = '';
     eye.value = '';
   }
-  upload(photos, QUALITIES[$('quality', HTMLSelectElement).value]);
+  upload(photos, options());
 }
 
 for (const picker of [$('picker', HTMLInputElement), $('camera', HTMLInputElement)]) {
@@ -93,6 +117,7 @@ async function showSample() {
 }
 
 translatePage();
+offerPresets();
 $('go-live', HTMLAnchorElement).href = publishPage(freshName());
 enliven($('gallery'));
 $('gallery').addEventListener('shown', (event) => {

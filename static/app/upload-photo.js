@@ -20,7 +20,7 @@ function refusal(xhr) {
  * Uploads a file, its depth map or second eye if there is one, and options by name.
  * @param {File} file
  * @param {{depth: File | null, second?: File}} beside at most one of them
- * @param {Record<string, number>} options
+ * @param {Record<string, string | number>} options
  * @param {(share: number) => void} onProgress is called with the share of bytes sent, 0 to 1
  * @returns {{done: Promise<Photo>, abort: () => void}} `done` resolves to the photo's JSON
  */

@@ -23,7 +23,7 @@ const FOLD_MS = 12_000;
 const UPLOAD_SHARE = 0.25;
 
 /** What tells the depth of a photo, if not the photo itself. @typedef {{depth: File | null, second?: File}} Beside */
-/** @typedef {{file: File, beside: Beside, options: Record<string, number>, row: Row}} Job */
+/** @typedef {{file: File, beside: Beside, options: Record<string, string | number>, row: Row}} Job */
 
 /** Files that wait to be sent. @type {Job[]} */
 const waiting = [];
@@ -70,7 +70,7 @@ addEventListener('beforeunload', (event) => {
 /**
  * Uploads photos.
  * @param {({file: File} & Beside)[]} photos
- * @param {Record<string, number>} options of the interface
+ * @param {Record<string, string | number>} options of the interface
  */
 export function upload(photos, options) {
   for (const { file, ...beside } of photos) {
@@ -151,7 +151,7 @@ async function send({ file, beside, options, row }) {
  * Uploads the file; if the server is busy, waits as long as it asks for.
  * @param {File} file
  * @param {Beside} beside
- * @param {Record<string, number>} options
+ * @param {Record<string, string | number>} options
  * @param {Row} row
  */
 async function post(file, beside, options, row) {

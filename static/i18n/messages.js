@@ -142,6 +142,8 @@ const GERMAN = {
   Planes: 'Ebenen',
   'Placing planes': 'Ebenen legen',
   'Progress of {0}': 'Fortschritt von {0}',
+  'Preset of the next photos': 'Voreinstellung der nächsten Fotos',
+  None: 'Keine',
   'Quality of the next photos': 'Qualität der nächsten Fotos',
   Ready: 'Fertig',
   'Reading the photo': 'Foto lesen',
@@ -282,6 +284,8 @@ const GERMAN = {
   'Put it on a page…': 'Auf eine Seite setzen …',
   Save: 'Speichern',
   'Send…': 'Senden …',
+  'A picture: {0}': 'Ein Bild: {0}',
+  'A film: {0}': 'Ein Film: {0}',
   'The depth map (.png)': 'Die Tiefenkarte (.png)',
   'The film': 'Der Film',
   'This address works only on this machine. Others need the server’s name.':

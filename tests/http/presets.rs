@@ -88,3 +88,17 @@ fn with_presets_only_administrators_alone_give_options() {
     let card = page.split("og:image\" content=\"http://photos.example").nth(1).unwrap().split('"').next().unwrap();
     assert_eq!(ask(&server, "GET", card, &[], &[]).header("content-type"), Some("image/jpeg"), "{card}");
 }
+
+#[test]
+fn pages_learn_the_presets_and_whether_other_options_are_refused() {
+    let named = |name: &str, kind: &str| json!({"name": name, "kind": kind});
+    let all = [named("card", "view"), named("loop", "film"), named("small", "photo")];
+    for only in [false, true] {
+        let server = with_presets(only);
+        let boss = key_fixture::add(server.data(), "boss", &[Scope::Admin]);
+        for (headers, refused) in [(vec![], only), (vec![("authorization", boss.as_str())], false)] {
+            let told = ask(&server, "GET", "/v1/presets", &headers, &[]).json();
+            assert_eq!(told, json!({"presets": all, "only": refused}), "{headers:?}");
+        }
+    }
+}

@@ -45,6 +45,7 @@ const TABLE: &[(&str, &str, Permission)] = &[
     ("GET", "/metrics", Metrics),
     ("GET", "/v1/network", Admin),
     ("POST", "/v1/network", Admin),
+    ("GET", "/v1/presets", Nothing),
     ("POST", "/v1/owner", Nothing),
     // the handler refuses callers that are no owner
     ("POST", "/v1/owner/ticket", Nothing),

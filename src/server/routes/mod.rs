@@ -13,6 +13,7 @@ mod owner_tickets;
 mod path_photo;
 mod photo_state;
 mod photos;
+mod presets;
 mod query;
 mod remake;
 mod rendered_view;
@@ -93,6 +94,7 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(owner_tickets::ticket))
         .routes(routes!(owner_tickets::adopt_owner))
         .routes(routes!(depth_network::network, depth_network::fetch))
+        .routes(routes!(presets::presets))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))
         .routes(routes!(export_jobs::order))

@@ -68,6 +68,8 @@ pub fn add_values(document: &mut Value) {
         ("ExportOrder", "textures", words::<ModelTextures>()),
         ("ExportOrder", "path", words::<Path>()),
         ("ExportOrder", "preset", json!(PRESET_NAME)),
+        ("NamedPreset", "name", json!(PRESET_NAME)),
+        ("NamedPreset", "kind", json!(["view", "film", "photo"])),
     ];
     for (schema, field, allowed) in fields {
         restrict(&mut document["components"]["schemas"][schema]["properties"][field], allowed);

@@ -413,6 +413,8 @@ describe('every control', () => {
         finish();
         pending = null;
       },
+      // presets.test.mjs chooses one
+      'select: Preset of the next photos': async () => assert.ok(await $('preset').isHidden()),
       'select: Quality of the next photos': async () => {
         await $('quality').selectOption('small');
         await $('picker').setInputFiles([file('two.png')]);

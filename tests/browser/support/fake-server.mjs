@@ -59,6 +59,7 @@ export async function serve({ atlas, wasm = true }) {
     }
     if (url.pathname === '/v1/owner/ticket')
       return send(state.ticket ? 200 : 403, 'application/json', JSON.stringify({ ticket: state.ticket, expires: 1 }));
+    if (url.pathname === '/v1/presets') return send(200, 'application/json', JSON.stringify(state.presets ?? { presets: [], only: false }));
     if (url.pathname === '/v1/photos/box') {
       if (request.method === 'PATCH') {
         let body = '';
