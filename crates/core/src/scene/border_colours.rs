@@ -33,9 +33,9 @@ pub struct BorderColours {
 }
 
 impl BorderColours {
-    /// The widest means are over squares of 2 to this power pixels a side. A colour depends only on the 64 lines of pixels next to a border,
-    /// and on pixels within 96 of it along the border, the margin that a band of rows has around its tiles. `tmpi-lab bench --only beyond`
-    /// compares other widths.
+    /// The widest means are over squares of 2 to this power pixels a side. A colour depends only on the 64 lines of pixels next to a
+    /// border, and on pixels within 96 of it along the border, the margin that a band of rows has around its tiles. `tmpi-lab bench --only
+    /// beyond` compares other widths.
     pub const COARSEST: usize = 6;
 
     /// Takes the means of a photo of `size` (width, height); `rgb` holds whole rows from row `top` on. Colours beyond the upper or lower
@@ -44,8 +44,8 @@ impl BorderColours {
         Self::with_coarsest(rgb, size, top, Self::COARSEST)
     }
 
-    /// Like [`Self::new`], with widest means over squares of 2 to the power of `coarsest` pixels a side, at most 7. For benchmarks: whatever
-    /// draws takes the default, so that all backends agree.
+    /// Like [`Self::new`], with widest means over squares of 2 to the power of `coarsest` pixels a side, at most 7. For benchmarks:
+    /// whatever draws takes the default, so that all backends agree.
     #[doc(hidden)]
     pub fn with_coarsest(rgb: &[[u8; 3]], size: [u32; 2], top: u32, coarsest: usize) -> Self {
         let coarsest = coarsest.min(MOST_COARSE);

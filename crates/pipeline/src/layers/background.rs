@@ -13,11 +13,12 @@ const NEXT_REACH: u32 = 96;
 /// How much farther than the whole tile these pixels must be, in δ.
 const BACKGROUND_STEP: f32 = 0.05;
 
-/// Which pixels of a margin a background plane is fitted to, and how many it takes. `tmpi-lab bench --only backgrounds` compares other rules
-/// than the default.
+/// Which pixels of a margin a background plane is fitted to, and how many it takes. `tmpi-lab bench --only backgrounds` compares other
+/// rules than the default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BackgroundSamples {
-    /// Widest margin, in pixels, at least 1, in which every pixel counts. In one up to n times as wide, every nth pixel of every nth row does.
+    /// Widest margin, in pixels, at least 1, in which every pixel counts. In one up to n times as wide, every nth pixel of every nth row
+    /// does.
     pub dense: u32,
     /// Fewest pixels to fit a plane to, where every pixel counts.
     pub fewest: usize,
@@ -63,9 +64,7 @@ fn add_sampled(geometry: &mut Geometry, delta: &DisparityMap, wanted: impl Fn(u3
     geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
         let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
         let uncovers = |reach: &u32| *reach == BACKGROUND_REACH || may_uncover(&grid, i as u32, &farthest, *reach);
-        let within = |reach: u32| {
-            background(delta, grown(r, reach, reach, &grid), (r, place), farthest[i], samples.within(reach), points)
-        };
+        let within = |reach: u32| background(delta, grown(r, reach, reach, &grid), (r, place), farthest[i], samples.within(reach), points);
         t.background = margins(farthest_reach).filter(uncovers).find_map(within);
     });
 }
