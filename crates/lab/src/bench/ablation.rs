@@ -15,7 +15,6 @@ use tmpi_pipeline::edges;
 use tmpi_pipeline::layers;
 use tmpi_pipeline::layers::refine;
 use tmpi_pipeline::networks::Network;
-use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::planes::{NEIGHBOUR_COST, Placement, place};
 use tmpi_pipeline::{MakeError, Options, Parallax};
 use tmpi_render::{Cpu, Renderer};
@@ -76,8 +75,7 @@ struct Prepared<'a> {
 impl<'a> Prepared<'a> {
     fn new(subject: &'a Subject, psi: Option<&'a dyn Network>) -> Result<Option<Self>, LabError> {
         let Some(given) = subject.disparity.as_deref() else { return Ok(None) };
-        let fail = |e| LabError::Make { subject: subject.name.clone(), source: MakeError::Photo(e) };
-        let decoded = photo::decode(&subject.file, &Limits::default(), None).map_err(fail)?;
+        let decoded = subject.decoded()?;
         let photo = decoded.photo;
         let intrinsics = subject.fov_x.map_or(decoded.intrinsics, |fov| Intrinsics::from_fov_x(photo.width, photo.height, fov));
         let snapped = edges::clean(&photo, given);

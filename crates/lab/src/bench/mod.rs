@@ -2,7 +2,7 @@
 //!
 //! For rendered scenes, the error is that of whole views (PSNR, SSIM, L1 over the view without 15 % on each side). Photos have no second
 //! view; their error is that of the planes against the disparity that they were fitted to, in pixels of parallax over the view box. A point
-//! is the mean over all subjects, with the standard deviation.
+//! is the mean over all subjects, with the standard deviation. Times are medians of repeated runs, with the range of these.
 
 mod ablation;
 mod costs;
@@ -52,6 +52,10 @@ pub struct Flags {
     /// Keep the experiments of an earlier run that are in the folder, and run only the others
     #[arg(long)]
     pub resume: bool,
+    /// Runs of each setting, in turns with the others; times are medians. What takes more than a second runs twice at most. Default: 5, or
+    /// 3 with --quick
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=100), value_name = "N")]
+    pub repeats: Option<u16>,
 }
 
 /// Settings of a benchmark.
@@ -106,6 +110,15 @@ pub struct Point {
     pub pareto: bool,
     /// All measured values, by name.
     pub figures: Vec<(String, f64)>,
+    /// Of figures in which repeated runs differ, mostly times: the means, over the subjects, of the least and the most.
+    pub ranges: Vec<(String, [f64; 2])>,
+}
+
+impl Point {
+    /// The range of a figure; `None` if its runs do not differ, or there was one.
+    fn range(&self, name: &str) -> Option<[f64; 2]> {
+        self.ranges.iter().find(|r| r.0 == name).map(|r| r.1)
+    }
 }
 
 /// Settings that differ in one number.
@@ -165,7 +178,7 @@ pub struct Results {
     pub machine: Machine,
     /// Names of the measured scenes and photos.
     pub subjects: Vec<String>,
-    /// Number of runs; times are medians.
+    /// Number of runs of a setting that takes at most a second; others ran twice at most. Times are medians.
     pub repeats: usize,
     /// The experiments.
     pub experiments: Vec<Experiment>,
@@ -185,13 +198,13 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabE
     let mut log = Log::new(settings, progress)?;
     let (quick, repeats) = (settings.flags.quick, log.results.repeats);
     if log.starts("scaling") {
-        match photo_size::run(quick) {
+        match photo_size::run(quick, repeats) {
             Ok(both) => both.into_iter().try_for_each(|e| log.add(e))?,
             Err(reason) => log.skip(format!("scaling: {reason}")),
         }
     }
     progress("rendering scenes");
-    let scenes = subject::rendered(quick);
+    let scenes = subject::rendered(quick)?;
     let photos = subject::photos(&settings.flags.photos, quick)?;
     log.results.subjects = scenes.iter().chain(&photos).map(|s| s.name.clone()).collect();
     let bench = measure::Bench { models: &settings.models, repeats };
