@@ -11,7 +11,7 @@ use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, TileSize};
 const MS: Axis = Axis::new("processing, ms", true, Some(false));
 pub(super) const VIEW: Axis = Axis::new("view, dB", false, Some(true));
 const PARALLAX: Axis = Axis::new("parallax error, px", true, Some(false));
-const KB: Axis = Axis::new("container, KB", true, Some(false));
+pub(super) const KB: Axis = Axis::new("container, KB", true, Some(false));
 
 const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
@@ -208,7 +208,7 @@ fn prune(quick: bool) -> Plan {
 }
 
 /// A multiple of the default view box.
-fn scaled(by: f64) -> ViewBox {
+pub(super) fn scaled(by: f64) -> ViewBox {
     let usual = Options::VIEW_BOX;
     ViewBox { x: usual.x * by, y: usual.y * by, z: usual.z * by }
 }

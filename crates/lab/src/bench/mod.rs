@@ -5,11 +5,14 @@
 //! is the mean over all subjects, with the standard deviation. Times are medians of repeated runs, with the range of these.
 
 mod ablation;
+mod backgrounds;
+mod beyond_border;
 mod costs;
 mod depth_settings;
 mod discretisation;
 mod experiments;
 mod figures;
+mod least_size;
 mod log;
 mod machine;
 mod measure;
@@ -70,7 +73,7 @@ pub struct Settings {
 }
 
 /// Short names of the experiments.
-pub const EXPERIMENTS: [&str; 20] = [
+pub const EXPERIMENTS: [&str; 23] = [
     "scaling",
     "max-error",
     "planes",
@@ -90,6 +93,9 @@ pub const EXPERIMENTS: [&str; 20] = [
     "labels",
     "photos",
     "discretisation",
+    "backgrounds",
+    "least-size",
+    "beyond",
     "budget",
 ];
 
@@ -219,6 +225,16 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabE
         experiments::on_photos(&bench, &photos, &mut log)?;
     }
     log.run("discretisation", || discretisation::run(&bench, measured))?;
+    log.run("backgrounds", || backgrounds::run(&bench, quick))?;
+    let large = if log.wants("least-size") || (log.wants("beyond") && photos.is_empty()) {
+        progress("rendering large scenes");
+        // from the side and from ahead: views of this size take long to compare
+        subject::large(quick, |seed| subject::poses(seed).into_iter().step_by(2).collect())?
+    } else {
+        Vec::new()
+    };
+    log.run("least-size", || least_size::run(&bench, &large, &photos, quick))?;
+    log.run("beyond", || beyond_border::run(&bench, if photos.is_empty() { &large } else { &photos }))?;
     if log.starts("budget") {
         log.results.costs = Some(costs::fitted(&bench, &scenes)?);
         log.add(costs::kept(&bench, &scenes)?)?;

@@ -15,10 +15,14 @@ use tmpi_testing::pictures::png;
 
 /// First seed of the benchmark's scenes, far from those that networks were trained on.
 const SEED: u64 = 900_000;
+/// First seed of the large scenes, and their size: 3.8 megapixels.
+const LARGE_SEED: u64 = 900_200;
+const LARGE: (u32, u32) = (2400, 1600);
 /// Samples a pixel, across and down.
 const SAMPLES: u32 = 3;
 
 /// A scene or a photo.
+#[derive(Clone)]
 pub(super) struct Subject {
     pub name: String,
     /// The photo file.
@@ -48,8 +52,14 @@ pub(super) fn rendered(quick: bool) -> Result<Vec<Subject>, LabError> {
     (SEED..SEED + count).map(|seed| scene(seed, size, &poses(seed))).collect()
 }
 
+/// Rendered scenes as large as photos, with views from these poses.
+pub(super) fn large(quick: bool, poses: impl Fn(u64) -> Vec<Pose>) -> Result<Vec<Subject>, LabError> {
+    let count = if quick { 1 } else { 4 };
+    (LARGE_SEED..LARGE_SEED + count).map(|seed| scene(seed, LARGE, &poses(seed))).collect()
+}
+
 /// The four poses of the views of a scene.
-fn poses(seed: u64) -> Vec<Pose> {
+pub(super) fn poses(seed: u64) -> Vec<Pose> {
     let side = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
     vec![
         Pose::at(0.06 * side, 0.0, 0.0),
@@ -60,7 +70,7 @@ fn poses(seed: u64) -> Vec<Pose> {
 }
 
 /// A rendered scene with views from these poses.
-fn scene(seed: u64, (width, height): (u32, u32), poses: &[Pose]) -> Result<Subject, LabError> {
+pub(super) fn scene(seed: u64, (width, height): (u32, u32), poses: &[Pose]) -> Result<Subject, LabError> {
     let scene = scenes::Scene::framed(seed, width, height);
     let camera = scene.camera();
     let view = |pose: &Pose| {
