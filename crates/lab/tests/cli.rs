@@ -30,6 +30,7 @@ fn help_succeeds_and_wrong_arguments_are_usage_errors() {
     f.run(&["live-bench", "--size", "9999x9999"]).fails(2, &["--size"]);
     f.run(&["live-bench", "--size", "64x48,96x64", "--learn", "prior"]).fails(2, &["--learn"]);
     f.run(&["bench", "--only", "best"]).fails(2, &["--only", "planes"]);
+    f.run(&["bench", "--repeats", "0"]).fails(2, &["--repeats"]);
 }
 
 #[test]
@@ -76,7 +77,7 @@ fn is_whole(page: &str, plots: usize) -> bool {
 #[test]
 fn bench_measures_and_draws_each_setting() {
     let f = folder();
-    f.run(&["bench", "--quick", "--only", "levels", "-o", "measured"]).succeeds();
+    f.run(&["bench", "--quick", "--repeats", "2", "--only", "levels", "-o", "measured"]).succeeds();
     let read = |name: &str| std::fs::read_to_string(f.path("measured").join(name)).unwrap();
     let results: Value = serde_json::from_str(&read("results.json")).unwrap();
     let [experiment] = results["experiments"].as_array().unwrap().as_slice() else { panic!("{results}") };
@@ -89,6 +90,16 @@ fn bench_measures_and_draws_each_setting() {
     let figures = points.iter().flat_map(|point| point["figures"].as_array().unwrap());
     assert!(points.iter().all(|point| point["figures"].as_array().is_some_and(|all| all.len() > 10)));
     assert!(figures.map(|figure| &figure[1]).chain(&of("x")).chain(&of("y")).all(Value::is_number), "{experiment}");
+    // times are the medians of two runs, which are not equal
+    assert_eq!(results["repeats"], 2);
+    for point in points {
+        let named = |list: &str| {
+            let list = point[list].as_array().unwrap();
+            list.iter().find(|entry| entry[0] == "processing, ms").unwrap_or_else(|| panic!("{point}"))[1].clone()
+        };
+        let (ms, range) = (named("figures").as_f64().unwrap(), named("ranges"));
+        assert!(range[0].as_f64().unwrap() < ms && ms < range[1].as_f64().unwrap(), "{point}");
+    }
     // smaller levels have fewer bytes, and views that are less like the true ones
     let falls = |axis: &str| of(axis).windows(2).all(|pair| pair[0].as_f64() > pair[1].as_f64());
     assert!(falls("x") && falls("y"), "{experiment}");

@@ -6,9 +6,8 @@
 
 use super::Class;
 
-/// The widest means are over squares of 64 × 64 pixels. A colour depends only on the 64 lines of pixels next to a border, and on pixels
-/// within 96 of it along the border, the margin that a band of rows has around its tiles.
-const COARSEST: usize = 6;
+/// The widest means that [`BorderColours::with_coarsest`] takes are over squares of 128 × 128 pixels.
+const MOST_COARSE: usize = 7;
 
 /// Pixels beyond the border per pixel of blur radius. As in `tmpi.wgsl`.
 const PIXELS_PER_RADIUS: f32 = 2.0;
@@ -29,15 +28,29 @@ pub struct BorderColours {
     size: [usize; 2],
     /// The left and the right border, the upper and the lower one.
     sides: [[Side; 2]; 2],
+    /// The widest means are over squares of 2 to this power pixels a side.
+    coarsest: usize,
 }
 
 impl BorderColours {
+    /// The widest means are over squares of 2 to this power pixels a side. A colour depends only on the 64 lines of pixels next to a
+    /// border, and on pixels within 96 of it along the border, the margin that a band of rows has around its tiles. `tmpi-lab bench --only
+    /// beyond` compares other widths.
+    pub const COARSEST: usize = 6;
     /// Number of rows of [`Self::strips`].
-    pub const STRIPS: usize = 4 * (COARSEST + 1);
+    pub const STRIPS: usize = 4 * (Self::COARSEST + 1);
 
     /// Takes the means of a photo of `size` (width, height); `rgb` holds whole rows from row `top` on. Colours beyond the upper or lower
     /// border need the 96 rows next to it.
     pub fn new(rgb: &[[u8; 3]], size: [u32; 2], top: u32) -> Self {
+        Self::with_coarsest(rgb, size, top, Self::COARSEST)
+    }
+
+    /// Like [`Self::new`], with widest means over squares of 2 to the power of `coarsest` pixels a side, at most 7. For benchmarks:
+    /// whatever draws takes the default, so that all backends agree.
+    #[doc(hidden)]
+    pub fn with_coarsest(rgb: &[[u8; 3]], size: [u32; 2], top: u32, coarsest: usize) -> Self {
+        let coarsest = coarsest.min(MOST_COARSE);
         let [width, height] = size.map(|v| v as usize);
         let (top, rows) = (top as usize, rgb.len() / width.max(1));
         // a row that is not present is the nearest one that is
@@ -46,10 +59,10 @@ impl BorderColours {
             rgb.get(row * width + x).copied().unwrap_or_default()
         };
         let [right, lower] = [width, height].map(|n| n.saturating_sub(1));
-        let columns = |column: &dyn Fn(usize) -> usize| Side::new(width, top..top + rows, |line, y| pixel(column(line), y));
-        let across = |row: &dyn Fn(usize) -> usize| Side::new(height, 0..width, |line, x| pixel(x, row(line)));
+        let columns = |column: &dyn Fn(usize) -> usize| Side::new(width, top..top + rows, coarsest, |line, y| pixel(column(line), y));
+        let across = |row: &dyn Fn(usize) -> usize| Side::new(height, 0..width, coarsest, |line, x| pixel(x, row(line)));
         let sides = [[columns(&|line| line), columns(&|line| right - line)], [across(&|line| line), across(&|line| lower - line)]];
-        Self { size: [width, height], sides }
+        Self { size: [width, height], sides, coarsest }
     }
 
     /// Colours some texels of a layer, with straight alpha, that are mirrored beyond the photo's borders: those of row `y` of the photo
@@ -78,7 +91,7 @@ impl BorderColours {
             let pixels = self.size[1 - axis];
             let used = pixels.min(columns.saturating_sub(1)).max(1);
             let place = |column: usize| ((2 * column + 1) * pixels / (2 * used)).min(pixels.saturating_sub(1));
-            for (side, n) in sides.iter().flat_map(|side| (0..=COARSEST).map(move |n| (side, n))) {
+            for (side, n) in sides.iter().flat_map(|side| (0..=Self::COARSEST).map(move |n| (side, n))) {
                 out.extend((0..columns).map(|column| {
                     let [r, g, b] = side.at(n, place(column)).map(|v| (v + 0.5) as u8);
                     [r, g, b, u8::MAX]
@@ -95,7 +108,7 @@ impl BorderColours {
             mirrored[axis].map_or(0.0, |border| if border == Border::Low { at } else { self.size[axis] as f32 - at })
         };
         let [across, down] = [beyond(0), beyond(1)];
-        let radius = (1.0 + across.max(down) / PIXELS_PER_RADIUS).min((1 << COARSEST) as f32);
+        let radius = (1.0 + across.max(down) / PIXELS_PER_RADIUS).min((1 << self.coarsest) as f32);
         // log2 of the radius, interpolated linearly between powers of two
         let fine = (radius as usize).ilog2() as usize;
         let share = radius / (1 << fine) as f32 - 1.0;
@@ -113,7 +126,7 @@ impl BorderColours {
                 [x, y] => x.or(y).unwrap_or_default(),
             }
         };
-        (mix(at(fine), at((fine + 1).min(COARSEST)), share), radius)
+        (mix(at(fine), at((fine + 1).min(self.coarsest)), share), radius)
     }
 }
 
@@ -122,14 +135,14 @@ impl BorderColours {
 struct Side {
     /// The first pixel along the border that is present.
     first: usize,
-    /// Means over squares of 1, 2, … 64 pixels; the first of each contains the first pixel.
-    means: [Vec<[f32; 3]>; COARSEST + 1],
+    /// Means over squares of 1, 2, 4, … pixels a side, up to the widest; the first of each contains the first pixel.
+    means: [Vec<[f32; 3]>; MOST_COARSE + 1],
 }
 
 impl Side {
     /// The means of `lines` lines of pixels, counted from the border; `pixel` takes the line and the place along the border. A square that
-    /// reaches past the last line or pixel repeats it.
-    fn new(lines: usize, along: std::ops::Range<usize>, pixel: impl Fn(usize, usize) -> [u8; 3]) -> Self {
+    /// reaches past the last line or pixel repeats it. The widest squares have 2 to the power of `coarsest` pixels a side.
+    fn new(lines: usize, along: std::ops::Range<usize>, coarsest: usize, pixel: impl Fn(usize, usize) -> [u8; 3]) -> Self {
         if along.is_empty() {
             return Self::default();
         }
@@ -137,6 +150,9 @@ impl Side {
         let mut sums = vec![[0_u32; 3]; along.len()];
         let mut added = 0;
         let means = std::array::from_fn(|n| {
+            if n > coarsest {
+                return Vec::new();
+            }
             for line in added..1 << n {
                 let line = line.min(lines.saturating_sub(1));
                 for (sum, at) in sums.iter_mut().zip(along.clone()) {
@@ -263,6 +279,16 @@ mod tests {
             let faulty = correlation(&(8..96).map(mean).collect::<Vec<u8>>(), &mirrored);
             assert!(faulty > 0.3, "stripes of {width}: {faulty}");
         }
+    }
+
+    #[test]
+    fn colours_blend_no_farther_than_the_widest_means() {
+        let photo: Vec<[u8; 3]> = (0..200 * 128_u32).map(|i| [if (i / 200 / 8).is_multiple_of(2) { 0 } else { 200 }; 3]).collect();
+        let far = |coarsest| row(&BorderColours::with_coarsest(&photo, [200, 128], 0, coarsest), (150, 4), 1, LEFT)[0];
+        // 151 pixels beyond the border, where the radius is 76: within a stripe, over whole pairs of them, and beyond the widest there is
+        assert_eq!([2, 6, 7, 99].map(far), [0, 100, 100, 100]);
+        let [first, second] = [6, 7].map(|coarsest| BorderColours::with_coarsest(&photo, [200, 128], 0, coarsest).colour([150, 4], LEFT).1);
+        assert!((first - 64.0).abs() < 1e-6 && (second - 76.25).abs() < 1e-6, "{first} {second}");
     }
 
     #[test]

@@ -10,19 +10,18 @@ use super::{Axis, Curve, Experiment, Point};
 use crate::LabError;
 use crate::scenes::hidden_colours;
 use tmpi_core::TexturedLayer;
-use tmpi_core::{Class, DisparityMap, Geometry, Grid, Intrinsics, LayerMasks, Photo, Rect, Scene, TileFrame};
+use tmpi_core::{Class, DisparityMap, Geometry, Grid, Intrinsics, LayerMasks, Photo, Rect, Scene, TileFrame, ViewBox};
 use tmpi_pipeline::edges;
 use tmpi_pipeline::layers;
 use tmpi_pipeline::layers::refine;
 use tmpi_pipeline::networks::Network;
-use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::planes::{NEIGHBOUR_COST, Placement, place};
 use tmpi_pipeline::{MakeError, Options, Parallax};
 use tmpi_render::{Cpu, Renderer};
 
 /// The step that is disabled or replaced.
 #[derive(Clone, Copy, PartialEq)]
-enum Without {
+pub(super) enum Without {
     Nothing,
     /// Uses the map without the median filter.
     Median,
@@ -64,32 +63,34 @@ const ALL: [(&str, Without); 12] = [
 ];
 
 /// A decoded subject with its cleaned disparity.
-struct Prepared<'a> {
+pub(super) struct Prepared<'a> {
     subject: &'a Subject,
     photo: Photo,
     intrinsics: Intrinsics,
+    view_box: ViewBox,
     given: &'a DisparityMap,
-    snapped: DisparityMap,
+    /// The cleaned disparity.
+    pub snapped: DisparityMap,
     psi: Option<&'a dyn Network>,
 }
 
 impl<'a> Prepared<'a> {
-    fn new(subject: &'a Subject, psi: Option<&'a dyn Network>) -> Result<Option<Self>, LabError> {
+    /// `None` if the subject's disparity is not known.
+    pub fn new(subject: &'a Subject, view_box: ViewBox, psi: Option<&'a dyn Network>) -> Result<Option<Self>, LabError> {
         let Some(given) = subject.disparity.as_deref() else { return Ok(None) };
-        let fail = |e| LabError::Make { subject: subject.name.clone(), source: MakeError::Photo(e) };
-        let decoded = photo::decode(&subject.file, &Limits::default(), None).map_err(fail)?;
+        let decoded = subject.decoded()?;
         let photo = decoded.photo;
         let intrinsics = subject.fov_x.map_or(decoded.intrinsics, |fov| Intrinsics::from_fov_x(photo.width, photo.height, fov));
         let snapped = edges::clean(&photo, given);
-        Ok(Some(Self { subject, photo, intrinsics, given, snapped, psi }))
+        Ok(Some(Self { subject, photo, intrinsics, view_box, given, snapped, psi }))
     }
 
     /// Planes, labels and backgrounds.
-    fn geometry(&self, without: Without, neighbour: f32) -> Geometry {
+    pub fn geometry(&self, without: Without, neighbour: f32) -> Geometry {
         let options = Options::default();
         let (w, h) = (self.photo.width, self.photo.height);
         let grid = Grid::new(w, h, 64);
-        let most = Parallax::new(self.intrinsics, options.view_box).most(Rect { x: 0, y: 0, w, h });
+        let most = Parallax::new(self.intrinsics, self.view_box).most(Rect { x: 0, y: 0, w, h });
         let placement = Placement { neighbour, ..options.placement(options.max_error, most) };
         let map = match without {
             Without::Median => self.given,
@@ -98,7 +99,7 @@ impl<'a> Prepared<'a> {
             _ => &self.snapped,
         };
         let tiles = place(map, None, &grid, &placement);
-        let mut geometry = Geometry { grid, intrinsics: self.intrinsics, view_box: options.view_box, tiles, matted: false };
+        let mut geometry = Geometry { grid, intrinsics: self.intrinsics, view_box: self.view_box, tiles, matted: false };
         if without != Without::Backgrounds {
             layers::add_backgrounds(&mut geometry, map);
         }
@@ -145,10 +146,9 @@ impl<'a> Prepared<'a> {
         }
     }
 
-    /// Measures one setting.
-    fn add(&self, f: &mut Figures, without: Without, neighbour: f32) -> Result<(), LabError> {
-        let geometry = self.geometry(without, neighbour);
-        let scene = Arc::new(self.scene(&geometry, without)?);
+    /// Adds what the scene of a geometry looks like and consists of.
+    pub fn add(&self, f: &mut Figures, geometry: &Geometry, without: Without) -> Result<(), LabError> {
+        let scene = Arc::new(self.scene(geometry, without)?);
         let cpu = Cpu::default();
         for (camera, want) in &self.subject.views {
             let view = cpu.render(&scene, camera)?;
@@ -162,7 +162,7 @@ impl<'a> Prepared<'a> {
         let pixels = f64::from(self.photo.width) * f64::from(self.photo.height);
         f.add("planes per tile", scene.layers.len() as f64 / f64::from(scene.grid.tiles()));
         f.add("texels per pixel", scene.texels.class.iter().filter(|c| **c != 0).count() as f64 / pixels);
-        f.add("label changes, % of pixels", 100.0 * changes(&geometry));
+        f.add("label changes, % of pixels", 100.0 * changes(geometry));
         Ok(())
     }
 }
@@ -186,12 +186,12 @@ fn changes(b: &Geometry) -> f64 {
 /// Measures a setting on all subjects; the figures are means.
 fn point(all: &[Prepared], setting: String, (without, neighbour): (Without, f32), x: &Axis) -> Result<Point, LabError> {
     let mut f = Figures::default();
-    all.iter().try_for_each(|p| p.add(&mut f, without, neighbour))?;
+    all.iter().try_for_each(|p| p.add(&mut f, &p.geometry(without, neighbour), without))?;
     Ok(f.point(setting, (&x.label, &VIEW.label)))
 }
 
 fn prepared<'a>(subjects: &'a [Subject], psi: Option<&'a dyn Network>) -> Result<Vec<Prepared<'a>>, LabError> {
-    subjects.iter().filter_map(|s| Prepared::new(s, psi).transpose()).collect()
+    subjects.iter().filter_map(|s| Prepared::new(s, Options::VIEW_BOX, psi).transpose()).collect()
 }
 
 /// Disables one step at a time.

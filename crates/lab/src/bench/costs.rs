@@ -1,15 +1,13 @@
 //! Processing costs on this machine, and how well time budgets are kept with them.
 
 use super::figures::median;
-use super::measure::{Bench, Depth};
+use super::measure::{Bench, Depth, REDUCED, in_turns};
 use super::subject::Subject;
-use super::{Axis, Curve, Experiment, Point, figures};
+use super::{Axis, Curve, Experiment, Figures, Point};
 use crate::LabError;
-use tmpi_pipeline::Silent;
 use tmpi_pipeline::networks;
-use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::run::time_budget::{Costs, Measured, fit};
-use tmpi_pipeline::{self, Made, Options};
+use tmpi_pipeline::{Made, Options};
 
 /// Operating points, as multiples of the default parallax error.
 const FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
@@ -17,6 +15,11 @@ const FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 const BEFORE: [&str; 4] = ["photo", "depth", "denoise", "snap"];
 /// A budget that limits nothing, set only to get its report.
 const PLENTY: f64 = 1e7;
+/// Budgets that are asked for, in milliseconds.
+const ASKED: [Option<f64>; 6] = [Some(25.0), Some(50.0), Some(100.0), Some(200.0), Some(500.0), None];
+/// Names of the axes.
+const TIME: &str = "time, ms";
+const PARALLAX: &str = "parallax error, px";
 
 /// Median of `of` over the repeated runs.
 fn median_of(runs: &[Made], of: impl Fn(&Made) -> f64) -> f64 {
@@ -71,27 +74,14 @@ pub(super) fn fitted(bench: &Bench, scenes: &[Subject]) -> Result<Costs, LabErro
 pub(super) fn kept(bench: &Bench, scenes: &[Subject]) -> Result<Experiment, LabError> {
     let mut curves = Vec::new();
     for s in scenes.iter().take(3) {
-        let map = s.disparity.as_deref().map(tmpi_pipeline::depth::to_png).transpose()?;
-        let make = |budget_ms: Option<f64>| {
-            let options = Options { budget_ms, fov_x: s.fov_x, ..Options::default() };
-            tmpi_pipeline::make(bench.models, &Limits::default(), &s.file, map.as_deref(), &options, &Silent)
-                .map_err(|source| LabError::Make { subject: s.name.clone(), source })
-        };
-        let mut points: Vec<Point> = Vec::new();
-        for asked in [25.0, 50.0, 100.0, 200.0, 500.0] {
-            let runs = (0..bench.repeats).map(|_| make(Some(asked))).collect::<Result<Vec<_>, _>>()?;
-            let budget = |of: fn(&tmpi_pipeline::Budget) -> f64| median_of(&runs, |m| m.report.budget.as_ref().map_or(0.0, of));
-            let chose = runs.last().and_then(|m| m.report.budget.as_ref()).map_or(String::new(), |b| format!("{}: {}", b.chose, b.reason));
-            let outcome = budget(|b| b.outcome_ms);
-            points.push(point(format!("--budget-ms {asked} chose {chose}"), &runs, outcome));
-            if let Some(p) = points.last_mut() {
-                let predicted = budget(|b| b.predicted_ms);
-                p.figures.extend(figures([("predicted, ms", predicted), ("over budget, %", 100.0 * (outcome / asked - 1.0))]));
-            }
-        }
-        let unbounded = (0..bench.repeats).map(|_| make(None)).collect::<Result<Vec<_>, _>>()?;
-        let free = point("without a budget".into(), &unbounded, median_of(&unbounded, |m| m.report.total_ms));
-        points.push(Point { default: true, ..free });
+        let mut runs = ASKED.map(|_| Vec::new());
+        in_turns(ASKED.len(), bench.repeats, |i, _| {
+            let made = bench.make(s, &Depth::Known, &Options { budget_ms: ASKED[i], ..Options::default() })?;
+            let ms = made.report.total_ms;
+            runs[i].push(made);
+            Ok(ms)
+        })?;
+        let points = ASKED.into_iter().zip(&runs).map(|(asked, runs)| point(asked, runs)).collect();
         curves.push(Curve { name: s.name.clone(), points });
     }
     Ok(Experiment {
@@ -100,17 +90,29 @@ pub(super) fn kept(bench: &Bench, scenes: &[Subject]) -> Result<Experiment, LabE
         about: "Results of --budget-ms with the costs that TMPI_COSTS names, or the built-in ones, and results without a budget. The error is in \
                 pixels of the original photo, so it is larger for a photo that was reduced."
             .into(),
-        x: Axis::new("time, ms", true, Some(false)),
-        y: Axis::new("parallax error, px", true, Some(false)),
+        x: Axis::new(TIME, true, Some(false)),
+        y: Axis::new(PARALLAX, true, Some(false)),
         curves,
     })
 }
 
-/// A point with time on the x axis and error on the y axis.
-fn point(setting: String, runs: &[Made], ms: f64) -> Point {
-    let scale = |m: &Made| m.report.error.reduction.map_or(1.0, |r| r.scale);
-    let error = median_of(runs, |m| m.report.error.planes.mean_px / scale(m));
-    let reduced = runs.last().and_then(|m| m.report.error.reduction?.psnr);
-    let figures = reduced.map(|psnr| ("photo after reduction and enlargement, dB".into(), psnr)).into_iter().collect();
-    Point { setting, x: ms, y: error, figures, ..Point::default() }
+/// The point of the runs with a budget, or without one.
+fn point(asked: Option<f64>, runs: &[Made]) -> Point {
+    let mut f = Figures::default();
+    for made in runs {
+        let (r, budget) = (&made.report, &made.report.budget);
+        let took = budget.as_ref().map_or(r.total_ms, |b| b.outcome_ms);
+        f.add_run(TIME, 0, took);
+        f.add_run(PARALLAX, 0, r.error.planes.mean_px / r.error.reduction.map_or(1.0, |r| r.scale));
+        if let Some(psnr) = r.error.reduction.and_then(|r| r.psnr) {
+            f.add_run(REDUCED, 0, psnr);
+        }
+        if let (Some(asked), Some(b)) = (asked, budget) {
+            f.add_run("predicted, ms", 0, b.predicted_ms);
+            f.add_run("over budget, %", 0, 100.0 * (took / asked - 1.0));
+        }
+    }
+    let chose = runs.last().and_then(|m| m.report.budget.as_ref()).map_or(String::new(), |b| format!("{}: {}", b.chose, b.reason));
+    let setting = asked.map_or("without a budget".to_owned(), |ms| format!("--budget-ms {ms} chose {chose}"));
+    Point { default: asked.is_none(), ..f.point(setting, (TIME, PARALLAX)) }
 }

@@ -1,7 +1,7 @@
 //! Error of planes fitted to clean and damaged disparity maps: the paper's third table.
 
-use super::figures::{Figures, median};
-use super::measure::Bench;
+use super::figures::Figures;
+use super::measure::{Bench, in_turns};
 use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Point, experiments};
 use crate::LabError;
@@ -9,12 +9,15 @@ use tmpi_core::{DisparityMap, Grid, Photo};
 use tmpi_pipeline::MakeError;
 use tmpi_pipeline::denoise::{local_planes, median_guided, theta};
 use tmpi_pipeline::edges;
-use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::planes::{MAX_AUTO_PLANES, Method, Placement, discretisation_error, ghost_share, place};
 use tmpi_pipeline::usage::Clock;
 
 /// Planes per tile, as in the paper.
 const PLANES: u32 = 4;
+
+/// Names of the axes.
+const CPU: &str = "planes, CPU ms";
+const MAE: &str = "MAE, 1e-3";
 
 /// How a map is cleaned before planes are fitted to it.
 #[derive(Clone, Copy, PartialEq)]
@@ -65,48 +68,49 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, Lab
         ("noise of variance 1e-3", experiments::noisy),
         ("edges blurred to ramps", experiments::blurred),
     ] {
-        let mut points = Vec::new();
-        for (setting, placement, cleaning) in &settings {
-            points.push(point(bench, subjects, setting, (placement, *cleaning, damage))?);
-        }
-        curves.push(Curve { name: name.into(), points });
+        curves.push(Curve { name: name.into(), points: points(bench, subjects, &settings, damage)? });
     }
     Ok(Experiment {
         id: "discretisation".into(),
         title: "Planes on clean and damaged maps".into(),
         about: "Planes fitted to a clean map, to one with noise, and to one blurred by 5×5 pixels. All errors are relative to the clean map, in thousandths, as in the paper's third table. Ghosts are pixels whose plane is more than 0.05 from every true surface within two pixels. Subjects are photos with a disparity map beside them, otherwise rendered scenes.".into(),
-        x: Axis::new("planes, CPU ms", true, Some(false)),
-        y: Axis::new("MAE, 1e-3", true, Some(false)),
+        x: Axis::new(CPU, true, Some(false)),
+        y: Axis::new(MAE, true, Some(false)),
         curves,
     })
 }
 
-fn point(
+/// One point per setting, for maps with this damage.
+fn points(
     bench: &Bench,
     subjects: &[Subject],
-    setting: &str,
-    (placement, cleaning, damage): (&Placement, Cleaning, fn(&DisparityMap) -> DisparityMap),
-) -> Result<Point, LabError> {
-    let mut f = Figures::default();
-    for s in subjects {
-        let Some(clean) = &s.disparity else { continue };
-        let fail = |source| LabError::Make { subject: s.name.clone(), source };
-        let photo = photo::decode(&s.file, &Limits::default(), None).map_err(|e| fail(e.into()))?.photo;
-        let (map, weights) = cleaned(bench, cleaning, &photo, &damage(clean)).map_err(fail)?;
-        let grid = Grid::new(map.width, map.height, 64);
-        let (mut times, mut tiles) = (Vec::new(), Vec::new());
-        for _ in 0..bench.repeats {
+    settings: &[(String, Placement, Cleaning)],
+    damage: fn(&DisparityMap) -> DisparityMap,
+) -> Result<Vec<Point>, LabError> {
+    let mut all = vec![Figures::default(); settings.len()];
+    let known = subjects.iter().filter_map(|s| Some((s, s.disparity.as_deref()?)));
+    for (at, (s, clean)) in known.enumerate() {
+        let (photo, damaged) = (s.decoded()?.photo, damage(clean));
+        let map = |(_, _, cleaning): &(String, Placement, Cleaning)| cleaned(bench, *cleaning, &photo, &damaged);
+        let maps = settings.iter().map(map).collect::<Result<Vec<_>, _>>();
+        let maps = maps.map_err(|source| LabError::Make { subject: s.name.clone(), source })?;
+        let grid = Grid::new(clean.width, clean.height, 64);
+        in_turns(settings.len(), bench.repeats, |i, round| {
+            let (f, (map, weights), placement) = (&mut all[i], &maps[i], &settings[i].1);
             let clock = Clock::start();
-            tiles = place(&map, weights.as_deref(), &grid, placement);
-            times.push(clock.cpu_ms());
-        }
-        let (mae, mse, q25) = discretisation_error(clean, &grid, &tiles);
-        f.add("planes, CPU ms", median(times));
-        f.add("MAE, 1e-3", mae * 1e3);
-        f.add("MSE, 1e-3", mse * 1e3);
-        f.add("Q25, 1e-3", q25 * 1e3);
-        f.add("planes per tile", tiles.iter().map(|t| t.planes.len()).sum::<usize>() as f64 / tiles.len().max(1) as f64);
-        f.add("ghosts, % of pixels", 100.0 * ghost_share(clean, &grid, &tiles, GHOST));
+            let tiles = place(map, weights.as_deref(), &grid, placement);
+            let ms = clock.ms();
+            f.add_run(CPU, at, clock.cpu_ms());
+            if round == 0 {
+                let (mae, mse, q25) = discretisation_error(clean, &grid, &tiles);
+                f.add(MAE, mae * 1e3);
+                f.add("MSE, 1e-3", mse * 1e3);
+                f.add("Q25, 1e-3", q25 * 1e3);
+                f.add("planes per tile", tiles.iter().map(|t| t.planes.len()).sum::<usize>() as f64 / tiles.len().max(1) as f64);
+                f.add("ghosts, % of pixels", 100.0 * ghost_share(clean, &grid, &tiles, GHOST));
+            }
+            Ok(ms)
+        })?;
     }
-    Ok(f.point(setting.into(), ("planes, CPU ms", "MAE, 1e-3")))
+    Ok(all.into_iter().zip(settings).map(|(f, (words, ..))| f.point(words.clone(), (CPU, MAE))).collect())
 }

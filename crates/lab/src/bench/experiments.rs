@@ -1,8 +1,8 @@
 //! Definitions of the experiments.
 
-use super::measure::{Bench, Depth};
+use super::measure::{Bench, Depth, Setting};
 use super::subject::Subject;
-use super::{Axis, Curve, Experiment, Log, Point};
+use super::{Axis, Curve, Experiment, Figures, Log, Point};
 use crate::LabError;
 use tmpi_core::{DisparityMap, ViewBox};
 use tmpi_pipeline::networks;
@@ -11,7 +11,7 @@ use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, TileSize};
 const MS: Axis = Axis::new("processing, ms", true, Some(false));
 pub(super) const VIEW: Axis = Axis::new("view, dB", false, Some(true));
 const PARALLAX: Axis = Axis::new("parallax error, px", true, Some(false));
-const KB: Axis = Axis::new("container, KB", true, Some(false));
+pub(super) const KB: Axis = Axis::new("container, KB", true, Some(false));
 
 const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
@@ -50,15 +50,16 @@ impl Plan {
     /// Measures each setting on all subjects.
     pub fn run(self, bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
         let (x, y) = self.axes;
-        let mut curves = Vec::new();
-        for (name, settings) in self.curves {
-            let mut points: Vec<Point> = Vec::new();
-            for Set { words, options, depth, level, at, default } in settings {
-                let p = bench.figures(subjects, &depth, &options, level)?.point(words, (&x.label, &y.label));
-                points.push(Point { default, x: at.unwrap_or(p.x), ..p });
-            }
-            curves.push(Curve { name: name.into(), points });
-        }
+        let settings: Vec<Setting> = self.curves.iter().flat_map(|(_, sets)| sets).map(|s| (&s.depth, &s.options, s.level)).collect();
+        let mut measured = bench.figures(subjects, &settings)?.into_iter();
+        let curve = |(name, sets): &(&str, Vec<Set>)| {
+            let point = |(set, f): (&Set, Figures)| {
+                let p = f.point(set.words.clone(), (&x.label, &y.label));
+                Point { default: set.default, x: set.at.unwrap_or(p.x), ..p }
+            };
+            Curve { name: (*name).into(), points: sets.iter().zip(measured.by_ref()).map(point).collect() }
+        };
+        let curves = self.curves.iter().map(curve).collect();
         Ok(Experiment { id: self.id.into(), title: self.title.into(), about: self.about.into(), x, y, curves })
     }
 }
@@ -207,7 +208,7 @@ fn prune(quick: bool) -> Plan {
 }
 
 /// A multiple of the default view box.
-fn scaled(by: f64) -> ViewBox {
+pub(super) fn scaled(by: f64) -> ViewBox {
     let usual = Options::VIEW_BOX;
     ViewBox { x: usual.x * by, y: usual.y * by, z: usual.z * by }
 }
@@ -261,7 +262,9 @@ pub(super) fn brief(reason: &impl std::fmt::Display) -> String {
 pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Result<(), LabError> {
     let quick = log.settings.flags.quick;
     // warm-up: the first run of a process pays for threads and memory
-    bench.figures(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), 0)?;
+    if let Some(scene) = scenes.first() {
+        bench.runs(scene, &Depth::Known, &Options::default())?;
+    }
     let mut plans =
         vec![max_error(quick, (MS, VIEW)), planes(quick, (MS, VIEW)), tiles(quick), quality(quick), prune(quick), view_box(quick)];
     plans.extend(sizes(quick));

@@ -21,7 +21,7 @@ impl<'a> Log<'a> {
             version: env!("CARGO_PKG_VERSION").into(),
             machine: Machine::this(),
             subjects: Vec::new(),
-            repeats: if settings.flags.quick { 3 } else { 5 },
+            repeats: settings.flags.repeats.map_or(if settings.flags.quick { 3 } else { 5 }, usize::from),
             experiments: Vec::new(),
             costs: None,
             skipped: Vec::new(),
@@ -32,7 +32,7 @@ impl<'a> Log<'a> {
         if settings.flags.resume && path.exists() {
             let before = files::read_json::<Results>(&path)?;
             if (&before.version, before.repeats) != (&log.results.version, log.results.repeats) {
-                return Err(LabError::file(&path, "another version or another `--quick` wrote it"));
+                return Err(LabError::file(&path, "another version, or another `--quick` or `--repeats`, wrote it"));
             }
             log.results = Results { skipped: Vec::new(), ..before };
         }
@@ -102,20 +102,24 @@ mod tests {
     fn results_are_resumed_and_the_page_has_all_points() {
         let folder = tempfile::tempdir().unwrap();
         let output = folder.path().join("bench");
-        let flags = Flags { quick: true, photos: Vec::new(), only: Vec::new(), output, resume: true };
+        let flags = Flags { quick: true, photos: Vec::new(), only: Vec::new(), output, resume: true, repeats: None };
         let with = |flags| Settings { flags, models: oracle_depth::none(), networks: tmpi_pipeline::networks::models::Settings::default() };
         let settings = with(flags.clone());
         let mut log = Log::new(&settings, &|_| {}).unwrap();
         assert!(log.wants("e") && log.wants("f"));
         log.skip("gpu: none & nothing".into());
-        log.add(experiment(&[(1.0, 10.0), (20.0, 30.0)])).unwrap();
+        let mut measured = experiment(&[(1.0, 10.0), (20.0, 30.0)]);
+        measured.curves[0].points[1].ranges = vec![("ms".into(), [18.0, 25.0])];
+        log.add(measured).unwrap();
         let page = std::fs::read_to_string(flags.output.join("index.html")).unwrap();
         assert!(page.contains("about &lt;it&gt;") && page.contains("none &amp; nothing") && page.matches("<circle").count() >= 2);
+        assert!(page.contains("<td>20.0 (18.0–25.0)") && page.matches("class=\"range\"").count() == 1, "times have their range");
         assert!(!page.contains("http://") || page.contains("http://www.w3.org/2000/svg"), "the page makes no requests");
         let again = Log::new(&settings, &|_| {}).unwrap();
         assert!(!again.wants("e") && again.wants("f"));
         assert_eq!(again.results.experiments[0].curves[0].points.len(), 2);
         assert!(Log::new(&with(Flags { resume: false, ..flags.clone() }), &|_| {}).unwrap().wants("e"));
-        assert!(Log::new(&with(Flags { quick: false, ..flags }), &|_| {}).is_err(), "results of other settings are not mixed");
+        assert!(Log::new(&with(Flags { quick: false, ..flags.clone() }), &|_| {}).is_err(), "results of other settings are not mixed");
+        assert!(Log::new(&with(Flags { repeats: Some(2), ..flags }), &|_| {}).is_err(), "nor those of other numbers of runs");
     }
 }

@@ -2,14 +2,17 @@
 //!
 //! For rendered scenes, the error is that of whole views (PSNR, SSIM, L1 over the view without 15 % on each side). Photos have no second
 //! view; their error is that of the planes against the disparity that they were fitted to, in pixels of parallax over the view box. A point
-//! is the mean over all subjects, with the standard deviation.
+//! is the mean over all subjects, with the standard deviation. Times are medians of repeated runs, with the range of these.
 
 mod ablation;
+mod backgrounds;
+mod beyond_border;
 mod costs;
 mod depth_settings;
 mod discretisation;
 mod experiments;
 mod figures;
+mod least_size;
 mod log;
 mod machine;
 mod measure;
@@ -52,6 +55,10 @@ pub struct Flags {
     /// Keep the experiments of an earlier run that are in the folder, and run only the others
     #[arg(long)]
     pub resume: bool,
+    /// Runs of each setting, in turns with the others; times are medians. What takes more than a second runs twice at most. Default: 5, or
+    /// 3 with --quick
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=100), value_name = "N")]
+    pub repeats: Option<u16>,
 }
 
 /// Settings of a benchmark.
@@ -66,7 +73,7 @@ pub struct Settings {
 }
 
 /// Short names of the experiments.
-pub const EXPERIMENTS: [&str; 20] = [
+pub const EXPERIMENTS: [&str; 23] = [
     "scaling",
     "max-error",
     "planes",
@@ -86,6 +93,9 @@ pub const EXPERIMENTS: [&str; 20] = [
     "labels",
     "photos",
     "discretisation",
+    "backgrounds",
+    "least-size",
+    "beyond",
     "budget",
 ];
 
@@ -106,6 +116,15 @@ pub struct Point {
     pub pareto: bool,
     /// All measured values, by name.
     pub figures: Vec<(String, f64)>,
+    /// Of figures in which repeated runs differ, mostly times: the means, over the subjects, of the least and the most.
+    pub ranges: Vec<(String, [f64; 2])>,
+}
+
+impl Point {
+    /// The range of a figure; `None` if its runs do not differ, or there was one.
+    fn range(&self, name: &str) -> Option<[f64; 2]> {
+        self.ranges.iter().find(|r| r.0 == name).map(|r| r.1)
+    }
 }
 
 /// Settings that differ in one number.
@@ -165,7 +184,7 @@ pub struct Results {
     pub machine: Machine,
     /// Names of the measured scenes and photos.
     pub subjects: Vec<String>,
-    /// Number of runs; times are medians.
+    /// Number of runs of a setting that takes at most a second; others ran twice at most. Times are medians.
     pub repeats: usize,
     /// The experiments.
     pub experiments: Vec<Experiment>,
@@ -185,13 +204,13 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabE
     let mut log = Log::new(settings, progress)?;
     let (quick, repeats) = (settings.flags.quick, log.results.repeats);
     if log.starts("scaling") {
-        match photo_size::run(quick) {
+        match photo_size::run(quick, repeats) {
             Ok(both) => both.into_iter().try_for_each(|e| log.add(e))?,
             Err(reason) => log.skip(format!("scaling: {reason}")),
         }
     }
     progress("rendering scenes");
-    let scenes = subject::rendered(quick);
+    let scenes = subject::rendered(quick)?;
     let photos = subject::photos(&settings.flags.photos, quick)?;
     log.results.subjects = scenes.iter().chain(&photos).map(|s| s.name.clone()).collect();
     let bench = measure::Bench { models: &settings.models, repeats };
@@ -206,6 +225,16 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabE
         experiments::on_photos(&bench, &photos, &mut log)?;
     }
     log.run("discretisation", || discretisation::run(&bench, measured))?;
+    log.run("backgrounds", || backgrounds::run(&bench, quick))?;
+    let large = if log.wants("least-size") || (log.wants("beyond") && photos.is_empty()) {
+        progress("rendering large scenes");
+        // from the side and from ahead: views of this size take long to compare
+        subject::large(quick, |seed| subject::poses(seed).into_iter().step_by(2).collect())?
+    } else {
+        Vec::new()
+    };
+    log.run("least-size", || least_size::run(&bench, &large, &photos, quick))?;
+    log.run("beyond", || beyond_border::run(&bench, if photos.is_empty() { &large } else { &photos }))?;
     if log.starts("budget") {
         log.results.costs = Some(costs::fitted(&bench, &scenes)?);
         log.add(costs::kept(&bench, &scenes)?)?;

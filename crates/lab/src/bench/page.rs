@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::plot::{escaped, number, svg};
+use super::plot::{escaped, number, ranged, svg};
 use super::{Experiment, Results};
 
 const STYLE: &str = "
@@ -30,6 +30,8 @@ const READING: &str = "<h2>How to read the plots</h2><ul>\
 <li>The words at the axes say which side is better.</li>\
 <li>A filled point: no other setting is better in both directions. If the default is not filled, another setting may be the better choice.</li>\
 <li>A vertical bar is one standard deviation over the scenes: how much scenes differ, not how far the mean is from the truth.</li>\
+<li>A bar with ends goes from the mean of each scene's fastest run to the mean of its slowest one: how far repeated times are apart. If you \
+see none beside a time, it is shorter than the point. Tables have it in brackets.</li>\
 <li>“All figures” below a plot opens a table of everything that was measured.</li></ul>\
 <details><summary>What the figures mean</summary><dl>\
 <dt>view, dB</dt><dd>A scene is made of one photo and drawn from other places, where the exact picture is known: PSNR against that, without the outer 15 % on \
@@ -52,11 +54,17 @@ pub fn html(r: &Results) -> String {
     );
     let gigabytes = m.memory as f64 / 1e9;
     let load = m.load.map_or(String::new(), |l| format!(", load {l:.1} at the end"));
+    let times = match r.repeats {
+        0 | 1 => "of one run".to_owned(),
+        n => format!(
+            "medians of {n} runs, in turns with those of other settings, or of 2 if a run takes more than a second; means over all scenes"
+        ),
+    };
     let facts = [
         ("Machine", format!("{}, {} threads, {gigabytes:.1} GB, {}{load}", m.processor, m.threads, m.system)),
         ("Program", format!("tmpi {}", r.version)),
         ("Measured on", r.subjects.join(", ")),
-        ("Times", format!("medians of {} runs, means over all scenes", r.repeats)),
+        ("Times", times),
         ("Duration", format!("{:.0} s", r.seconds)),
     ];
     for (name, value) in facts {
@@ -100,7 +108,7 @@ fn table(e: &Experiment) -> String {
         let _ = write!(out, "<tr{class}><td>{}<td>{}<td>{}", escaped(&c.name), escaped(&p.setting), number(p.spread));
         for (i, n) in names.iter().enumerate() {
             let value = [p.x, p.y].get(i).copied().or_else(|| p.figures.iter().find(|f| f.0 == *n).map(|f| f.1));
-            let _ = write!(out, "<td>{}", value.map_or(String::new(), number));
+            let _ = write!(out, "<td>{}", value.map_or(String::new(), |v| ranged(v, p.range(n))));
         }
     }
     out + "</table></div></details>"

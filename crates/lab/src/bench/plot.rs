@@ -39,6 +39,12 @@ pub(super) fn number(v: f64) -> String {
     format!("{v:.digits$}")
 }
 
+/// A value, with its range if runs differ.
+pub(super) fn ranged(value: f64, range: Option<[f64; 2]>) -> String {
+    let range = range.map_or(String::new(), |[least, most]| format!(" ({}–{})", number(least), number(most)));
+    number(value) + &range
+}
+
 /// Maps values, or their logarithms, from `lo` to `hi` to positions from `from` to `to`.
 struct Scale {
     log: bool,
@@ -63,6 +69,12 @@ impl Scale {
     fn at(&self, v: f64) -> Option<f64> {
         let v = if self.log { v.log10() } else { v };
         v.is_finite().then(|| self.from + (v - self.lo) / (self.hi - self.lo) * (self.to - self.from))
+    }
+
+    /// Where a bar between two values starts and ends, from the position `at`; `None` if a value has no position.
+    fn bar(&self, ends: [f64; 2], at: f64) -> Option<[f64; 2]> {
+        let within = |v: f64| Some(self.at(v)?.clamp(self.from.min(self.to), self.from.max(self.to)) - at);
+        Some([within(ends[0])?, within(ends[1])?])
     }
 
     /// Round values for labels, and their positions.
@@ -107,7 +119,7 @@ pub(super) fn svg(e: &Experiment) -> String {
             let _ = write!(out, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.6\"{dash}/>", line.join(" "));
         }
         for &(a, b, p) in &places {
-            let _ = write!(out, "<g transform=\"translate({a:.1} {b:.1})\">{}</g>", dot(e, p, (&y, b), colour, named));
+            let _ = write!(out, "<g transform=\"translate({a:.1} {b:.1})\">{}</g>", dot(p, [(&e.x, &x, a), (&e.y, &y, b)], colour, named));
         }
         names.extend(places.last().map(|(_, b, _)| (*b, colour, &c.name)));
     }
@@ -127,8 +139,9 @@ pub(super) fn svg(e: &Experiment) -> String {
     out + "</svg>"
 }
 
-/// A point, relative to its place: the ring of a default, its name, the spread, and the point itself with a tip.
-fn dot(e: &Experiment, p: &Point, (y, b): (&Scale, f64), colour: &str, named: bool) -> String {
+/// A point, relative to its place: the ring of a default, its name, the spread, the range of repeated measurements, and the point itself
+/// with a tip. Each axis has its scale and the position of the point.
+fn dot(p: &Point, axes: [(&Axis, &Scale, f64); 2], colour: &str, named: bool) -> String {
     let mut out = String::new();
     if p.default {
         out += "<circle r=\"8.5\" fill=\"none\" stroke=\"currentColor\" stroke-width=\"1.6\"/><text x=\"11\" y=\"16\" class=\"own\">default</text>";
@@ -136,12 +149,19 @@ fn dot(e: &Experiment, p: &Point, (y, b): (&Scale, f64), colour: &str, named: bo
     if named {
         let _ = write!(out, "<text x=\"7\" y=\"-7\" class=\"of\">{}</text>", escaped(brief(&p.setting)));
     }
-    if let (Some(top), Some(bottom)) = (y.at(p.y + p.spread), y.at(p.y - p.spread)) {
-        let [top, bottom] = [top, bottom].map(|v| v.clamp(TOP, BOTTOM) - b);
+    let [(x_axis, ..), (y_axis, y, b)] = axes;
+    if let Some([top, bottom]) = y.bar([p.y + p.spread, p.y - p.spread], b) {
         let _ = write!(out, "<path d=\"M0 {top:.1}V{bottom:.1}\" stroke=\"{colour}\" stroke-opacity=\".35\"/>");
     }
+    for ((axis, scale, at), turn) in axes.into_iter().zip([0, 90]) {
+        if let Some([from, to]) = p.range(&axis.label).and_then(|range| scale.bar(range, at)) {
+            let d = format!("M{from:.1} -3V3M{from:.1} 0H{to:.1}M{to:.1} -3V3");
+            let _ = write!(out, "<path class=\"range\" d=\"{d}\" transform=\"rotate({turn})\" fill=\"none\" stroke=\"{colour}\"/>");
+        }
+    }
     let fill = if p.pareto { colour } else { "var(--paper)" };
-    let tip = escaped(&format!("{}: {} {}, {} {}", p.setting, number(p.x), e.x.label, number(p.y), e.y.label));
+    let value = |value: f64, axis: &Axis| format!("{} {}", ranged(value, p.range(&axis.label)), axis.label);
+    let tip = escaped(&format!("{}: {}, {}", p.setting, value(p.x, x_axis), value(p.y, y_axis)));
     let _ = write!(out, "<circle r=\"4\" fill=\"{fill}\" stroke=\"{colour}\" stroke-width=\"1.6\"><title>{tip}</title></circle>");
     out
 }
@@ -204,6 +224,7 @@ mod tests {
     #[test]
     fn numbers_and_text_are_formatted() {
         assert_eq!([0.0, 0.5, 12.345, 1234.5].map(number), ["0", "0.5000", "12.3", "1234"]);
+        assert_eq!((ranged(12.345, None).as_str(), ranged(12.345, Some([9.0, 123.4])).as_str()), ("12.3", "12.3 (9.00–123)"));
         assert_eq!((short(20000.0).as_str(), short(0.3).as_str()), ("20k", "0.3"));
         assert_eq!(["--max-error 1", "--view-box 1,2,3 --verify-prune", "level 2"].map(brief), ["1", "1,2,3", "level 2"]);
         assert_eq!(escaped("<a&\"b\">"), "&lt;a&amp;&quot;b&quot;&gt;");

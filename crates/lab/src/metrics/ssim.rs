@@ -42,21 +42,24 @@ fn blur(p: &[f64], width: usize, height: usize) -> Vec<f64> {
         *k = (-(i as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp();
     }
     let all: f64 = kernel.iter().sum();
+    let kernel = kernel.map(|k| k / all);
     let mirrored = |i: isize, n: usize| -> usize {
         let (last, period) = (n as isize - 1, (2 * n as isize - 2).max(1));
         let m = i.rem_euclid(period);
         (if m > last { period - m } else { m }) as usize
     };
-    let taps = |i: usize, n: usize| kernel.iter().enumerate().map(move |(j, k)| (mirrored((i + j) as isize - RADIUS as isize, n), k / all));
+    // the places under the window of each pixel begin at the pixel's own number
+    let places = |n: usize| (0..n + 2 * RADIUS).map(|i| mirrored(i as isize - RADIUS as isize, n)).collect::<Vec<usize>>();
+    let (across, down) = (places(width), places(height));
     let mut rows = vec![0f64; p.len()];
     for y in 0..height {
         for x in 0..width {
-            rows[y * width + x] = taps(x, width).map(|(i, k)| k * p[y * width + i]).sum();
+            rows[y * width + x] = kernel.iter().zip(&across[x..]).map(|(k, i)| k * p[y * width + i]).sum();
         }
     }
     let mut out = vec![0f64; p.len()];
     for y in 0..height {
-        for (i, k) in taps(y, height) {
+        for (k, i) in kernel.iter().zip(&down[y..]) {
             for x in 0..width {
                 out[y * width + x] += k * rows[i * width + x];
             }

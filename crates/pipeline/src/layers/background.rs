@@ -8,12 +8,34 @@ use crate::planes::fit_points;
 
 /// Margin around a tile, in pixels, from which a background plane is fitted.
 const BACKGROUND_REACH: u32 = 32;
-/// The next margin, if there is no background so near. Each later one is twice as wide. In margins wider than this, pixels are sampled.
+/// The next margin, if there is no background so near. Each later one is twice as wide.
 const NEXT_REACH: u32 = 96;
-/// Fewest pixels from which a background plane is fitted; where one of n is sampled in each direction, that many divided by n.
-const BACKGROUND_PIXELS: usize = 32;
 /// How much farther than the whole tile these pixels must be, in δ.
 const BACKGROUND_STEP: f32 = 0.05;
+
+/// Which pixels of a margin a background plane is fitted to, and how many it takes. `tmpi-lab bench --only backgrounds` compares other
+/// rules than the default.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BackgroundSamples {
+    /// Widest margin, in pixels, at least 1, in which every pixel counts. In one up to n times as wide, every nth pixel of every nth row
+    /// does.
+    pub dense: u32,
+    /// Fewest pixels to fit a plane to, where every pixel counts.
+    pub fewest: usize,
+    /// Where every nth counts, the fewest are divided by n to this power.
+    pub power: u32,
+}
+
+impl BackgroundSamples {
+    /// How photos are made.
+    pub const DEFAULT: Self = Self { dense: NEXT_REACH, fewest: 32, power: 1 };
+
+    /// The distance of the pixels that count in a margin of `reach` pixels, and the fewest of them.
+    fn within(&self, reach: u32) -> (usize, usize) {
+        let step = reach.div_ceil(self.dense) as usize;
+        (step, self.fewest.div_ceil(step.pow(self.power)))
+    }
+}
 
 /// Adds a background plane to every tile whose neighbourhood shows background that the tile itself does not show.
 pub fn add_backgrounds(geometry: &mut Geometry, delta: &DisparityMap) {
@@ -22,6 +44,16 @@ pub fn add_backgrounds(geometry: &mut Geometry, delta: &DisparityMap) {
 
 /// Like [`add_backgrounds`], for tiles that are `wanted` only; other tiles keep their background plane.
 pub fn add_backgrounds_to(geometry: &mut Geometry, delta: &DisparityMap, wanted: impl Fn(u32) -> bool + Sync) {
+    add_sampled(geometry, delta, wanted, BackgroundSamples::DEFAULT);
+}
+
+/// Like [`add_backgrounds`], with other samples. For benchmarks.
+#[doc(hidden)]
+pub fn add_backgrounds_by(geometry: &mut Geometry, delta: &DisparityMap, samples: BackgroundSamples) {
+    add_sampled(geometry, delta, |_| true, samples);
+}
+
+fn add_sampled(geometry: &mut Geometry, delta: &DisparityMap, wanted: impl Fn(u32) -> bool + Sync, samples: BackgroundSamples) {
     let grid = geometry.grid;
     // as far as the farthest camera uncovers, and readers search
     let (x, y) = geometry.reach();
@@ -32,10 +64,7 @@ pub fn add_backgrounds_to(geometry: &mut Geometry, delta: &DisparityMap, wanted:
     geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
         let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
         let uncovers = |reach: &u32| *reach == BACKGROUND_REACH || may_uncover(&grid, i as u32, &farthest, *reach);
-        let within = |reach: u32| {
-            let (win, step) = (grown(r, reach, reach, &grid), reach.div_ceil(NEXT_REACH) as usize);
-            background(delta, win, (r, place), farthest[i], step, points)
-        };
+        let within = |reach: u32| background(delta, grown(r, reach, reach, &grid), (r, place), farthest[i], samples.within(reach), points);
         t.background = margins(farthest_reach).filter(uncovers).find_map(within);
     });
 }
@@ -55,14 +84,14 @@ fn may_uncover(grid: &Grid, index: u32, farthest: &[f32], reach: u32) -> bool {
     around(y, grid.rows()).any(|row| around(x, columns).any(|column| farthest[(row * columns + column) as usize] < far))
 }
 
-/// Fits a plane to background that only the neighbourhood shows, from every `step`th pixel of every `step`th row. Without it, gaps wider than
-/// the tile's reach stay empty.
+/// Fits a plane to background that only the neighbourhood shows, from every `step`th pixel of every `step`th row, if these are at least
+/// `fewest`. Without it, gaps wider than the tile's reach stay empty.
 fn background(
     delta: &DisparityMap,
     win: Rect,
     (r, place): (Rect, TileFrame),
     farthest: f32,
-    step: usize,
+    (step, fewest): (usize, usize),
     points: &mut Vec<(f64, f64, f64, f64)>,
 ) -> Option<Plane> {
     points.clear();
@@ -79,7 +108,7 @@ fn background(
             }
         }
     }
-    if points.len() * step < BACKGROUND_PIXELS {
+    if points.len() < fewest {
         return None;
     }
     let plane = fit_points(points.iter().copied())?;
@@ -233,6 +262,32 @@ mod tests {
         };
         assert_eq!(behind(0.03), None);
         assert!(behind(0.2).is_some_and(|p| (p.disparity(0.0, 0.0) - 0.2).abs() < 0.01));
+    }
+
+    #[test]
+    fn wider_margins_take_fewer_samples() {
+        let within = |power, reach| BackgroundSamples { power, ..BackgroundSamples::DEFAULT }.within(reach);
+        assert_eq!([32, 96, 97, 288, 384].map(|reach| within(1, reach)), [(1, 32), (1, 32), (2, 16), (3, 11), (4, 8)]);
+        assert_eq!([0, 2].map(|power| within(power, 384)), [(4, 32), (4, 2)]);
+        assert_eq!(BackgroundSamples { dense: u32::MAX, ..BackgroundSamples::DEFAULT }.within(1664), (1, 32));
+    }
+
+    #[test]
+    fn rules_of_samples_decide_whether_there_is_a_background() {
+        // the far wall is 6 pixels wide and 64 high, 190 pixels right of tile 0
+        let (mut scene, map) = walls(600, 64, 64, |x, _| if (254..260).contains(&x) { 0.2 } else { 0.8 });
+        scene.view_box = ViewBox { x: 1.0, y: 0.0, z: 0.0 };
+        let found = |samples| {
+            let mut scene = scene.clone();
+            add_backgrounds_by(&mut scene, &map, samples);
+            scene.tiles[0].background.map(|p| (p.disparity(0.0, 0.0) - 0.2).abs() < 0.01)
+        };
+        let usual = BackgroundSamples::DEFAULT;
+        // 32 samples within 192 pixels, 16 within 302
+        assert_eq!([16, 2000].map(|fewest| found(BackgroundSamples { fewest, ..usual })), [Some(true), None]);
+        // 384 pixels
+        let every = |fewest| found(BackgroundSamples { dense: u32::MAX, fewest, ..usual });
+        assert_eq!([384, 385].map(every), [Some(true), None]);
     }
 
     #[test]

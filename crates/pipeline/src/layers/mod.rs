@@ -4,4 +4,4 @@
 mod background;
 pub mod refine;
 
-pub use background::{add_backgrounds, add_backgrounds_to};
+pub use background::{BackgroundSamples, add_backgrounds, add_backgrounds_by, add_backgrounds_to};

@@ -31,8 +31,9 @@ const REFINED: u64 = 8;
 const VERIFIED: u64 = 32;
 /// Bytes for measuring depth against a second picture of any size: matching runs at its own size.
 const STEREO: u64 = 80 << 20;
-/// A photo is not reduced below this number of pixels to fit into memory: about as many as a screen has.
-const MIN_PIXELS: u64 = 1_500_000;
+/// A photo is not reduced below this number of pixels to fit into memory: about as many as a screen has. `tmpi-lab bench --only least-size`
+/// measures what views of photos of other sizes lose.
+pub const MIN_PIXELS: u64 = 1_500_000;
 /// Planes per tile, without background planes, that must fit into memory with [`PlaneCount::Auto`]. More planes are placed only if they
 /// fit, too.
 const MIN_PLANES: u32 = 2;
