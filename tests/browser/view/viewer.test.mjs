@@ -84,7 +84,7 @@ describe('viewer', () => {
       for (let i = 0; i < 30; i++) await new Promise(requestAnimationFrame);
       const still = count;
       viewer.moveTo({ x: 0.5, y: 0, z: 0 });
-      while (viewer.moving) await new Promise(requestAnimationFrame);
+      while (count === still) await new Promise(requestAnimationFrame);
       return { still, moved: count - still };
     });
     assert.equal(drawn.still, 0);
