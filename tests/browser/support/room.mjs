@@ -3,7 +3,7 @@ import { mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before } from 'node:test';
-import { evaluatePixels, launch, openPage, pixelsAt } from './browser.mjs';
+import { evaluateBytes, launch, openPage, pixelsAt } from './browser.mjs';
 import { startServer } from './program.mjs';
 import { FRAMES, frameNumber, HEIGHT, psnr, rgba, WIDTH, writeFilm } from './video.mjs';
 
@@ -67,7 +67,7 @@ export function compareWithFilm(pixels) {
 /** Pixels of the flat video. */
 export function flatPixels(page) {
   const script = async ([w, h]) => window.viewer.canvas.getContext('2d').getImageData(0, 0, w, h).data;
-  return evaluatePixels(page, script, [WIDTH, HEIGHT]);
+  return evaluateBytes(page, script, [WIDTH, HEIGHT]);
 }
 
 /** Waits until the page has shown `count` more frames. */
