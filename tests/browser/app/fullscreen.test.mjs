@@ -1,7 +1,7 @@
 // Full screen on the pages of photos and rooms.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { filePixels, fractionDifferent, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
+import { filePixels, fractionDifferent, pixelsAt, waitForMode } from '../support/browser.mjs';
 import { roomSuite } from '../support/room.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
@@ -38,10 +38,7 @@ async function stableLayout(page) {
 async function screenPixels(page, { x, y, width, height }) {
   const clip = { x: Math.ceil(x), y: Math.ceil(y), width: Math.floor(width) - 1, height: Math.floor(height) - 1 };
   const shot = await page.screenshot({ clip, scale: 'css' });
-  const { page: blank, context } = await openPage(page.context().browser());
-  const pixels = await filePixels(blank, `data:image/png;base64,${shot.toString('base64')}`);
-  await context.close();
-  return { pixels, width: clip.width, height: clip.height };
+  return { pixels: await filePixels(page, shot), width: clip.width, height: clip.height };
 }
 
 /** Asserts that the picture fills the screen and nothing covers it. */
