@@ -22,6 +22,10 @@ describe('frameworks', () => {
   const suite = boxSuite();
   const SRC = '/v1/photos/box/atlas';
 
+  const harnesses = {};
+  /** The framework's harness; compilers are slow, so each runs once. */
+  const harnessOf = (name) => (harnesses[name] ??= FRAMEWORKS[name](component(name.split(' ')[0])));
+
   /** Opens a page of the framework; `late`: the element's script comes after the program's. */
   async function open(name, { late = false, webgpu = true } = {}) {
     const opened = await openPage(suite.browser, MOTION);
@@ -29,8 +33,7 @@ describe('frameworks', () => {
     const workers = [];
     page.on('worker', (worker) => workers.push(worker));
     if (!webgpu) await page.addInitScript(() => Object.defineProperty(navigator, 'gpu', { value: undefined }));
-    const harness = FRAMEWORKS[name](component(name.split(' ')[0]));
-    await routeFramework(page, harness, late ? '' : SCRIPT);
+    await routeFramework(page, harnessOf(name), late ? '' : SCRIPT);
     await page.goto(`${suite.server.url}/framework`);
     await page.waitForFunction(() => window.show);
     return { ...opened, workers };
