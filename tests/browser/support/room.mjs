@@ -17,11 +17,12 @@ export function roomSuite(args = () => []) {
     camera: null,
     browser: null,
     folder: mkdtempSync(join(tmpdir(), 'tmpi-room-')),
-    /** Publishes in a room from its page; `prepare` runs before the page loads. */
-    async publish(room, { hash = '', options = {}, prepare = async () => {} } = {}) {
+    /** Publishes in a room from its page; `prepare` runs before the page loads, `loaded` before it publishes. */
+    async publish(room, { hash = '', options = {}, prepare = async () => {}, loaded = async () => {} } = {}) {
       const opened = await openPage(suite.camera, { permissions: ['camera', 'microphone'], ...options });
       await prepare(opened.page);
       await opened.page.goto(`${suite.server.url}/live/${room}/publish${hash}`);
+      await loaded(opened.page);
       await opened.page.selectOption('#size', `${WIDTH}x${HEIGHT}`);
       await opened.page.locator('#go').click();
       await opened.page.waitForFunction(() => document.body.dataset.state === 'live');
