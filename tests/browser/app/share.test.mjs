@@ -15,8 +15,8 @@ const SIZES = [
 describe('sharing', () => {
   const suite = boxSuite();
 
-  async function open(viewport = SIZES[0], more = {}) {
-    const opened = await suite.open({ viewport, acceptDownloads: true, ...more });
+  async function open(more = {}) {
+    const opened = await suite.open({ acceptDownloads: true, ...more });
     await waitForMode(opened.page, 'gpu');
     return opened;
   }
@@ -254,7 +254,7 @@ describe('sharing', () => {
   test('dialogs fit every screen in both languages', async () => {
     Object.assign(suite.server.state, { visibility: 'private', links: { manage: `/view/box#manage=tmpi_m_${'a'.repeat(64)}` } });
     for (const locale of ['en', 'de']) {
-      const { page, context } = await open(SIZES[0], { locale });
+      const { page, context } = await open({ locale });
       for (const viewport of SIZES) {
         await page.setViewportSize(viewport);
         for (const entry of ['#share-link', '#share-embed', '#share-film', '#share-access']) {
