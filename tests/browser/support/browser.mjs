@@ -2,8 +2,10 @@
 // starts; a file that runs alone starts its own.
 import { existsSync, readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
+import { join } from 'node:path';
 import { chromium } from 'playwright-core';
 import { POLL_MS, TIMEOUT_MS } from './until.mjs';
+import { writeFilm } from './video.mjs';
 
 const executablePath = process.env.CHROMIUM || '/usr/bin/chromium';
 const PLAIN = [
@@ -26,6 +28,8 @@ const WEBGPU = [
 ];
 /** Environment variable with the address of the shared Chromium. */
 export const SHARED = 'TMPI_CHROMIUM_SERVER';
+/** Environment variable with the address of the shared Chromium that has a camera. */
+export const SHARED_CAMERA = 'TMPI_CAMERA_SERVER';
 /** Connections whose pages get no WebGPU although the shared browser has it. */
 const withoutWebGpu = new WeakSet();
 
@@ -38,6 +42,23 @@ function launchOptions({ webgpu = true, more = [] } = {}) {
 
 /** Starts the Chromium that test files share. */
 export const launchShared = () => chromium.launchServer(launchOptions());
+
+/** Launch options of a browser without WebGPU whose camera plays the film, which is written in `folder`. */
+const cameraOptions = (folder) => {
+  const film = join(folder, 'film.y4m');
+  writeFilm(film);
+  const more = ['--use-fake-device-for-media-stream', '--use-fake-ui-for-media-stream', `--use-file-for-fake-video-capture=${film}`];
+  return launchOptions({ webgpu: false, more });
+};
+
+/** Starts the Chromium with a camera that test files share. */
+export const launchSharedCamera = (folder) => chromium.launchServer(cameraOptions(folder));
+
+/** A browser with a camera: the shared one, or its own with a film in `folder`. */
+export async function launchCamera(folder) {
+  const address = process.env[SHARED_CAMERA];
+  return address ? chromium.connect(address) : chromium.launch(cameraOptions(folder));
+}
 
 /** A browser with or without WebGPU: the shared one, or its own with further arguments. */
 export async function launch({ webgpu = true, more = [] } = {}) {

@@ -3,9 +3,9 @@ import { mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before } from 'node:test';
-import { evaluateBytes, launch, openPage, pixelsAt } from './browser.mjs';
+import { evaluateBytes, launch, launchCamera, openPage, pixelsAt } from './browser.mjs';
 import { startServer } from './program.mjs';
-import { FRAMES, frameNumber, HEIGHT, psnr, rgba, WIDTH, writeFilm } from './video.mjs';
+import { FRAMES, frameNumber, HEIGHT, psnr, rgba, WIDTH } from './video.mjs';
 
 /** PSNR in dB from which a picture equals its source except for compression. */
 export const SAME_DB = 32;
@@ -37,12 +37,8 @@ export function roomSuite(args = () => []) {
     },
   };
   before(async () => {
-    const film = join(suite.folder, 'film.y4m');
-    writeFilm(film);
     suite.server = await startServer(args(suite.folder));
-    const fake = ['--use-fake-device-for-media-stream', '--use-fake-ui-for-media-stream', `--use-file-for-fake-video-capture=${film}`];
-    // its own browser, because the camera plays the film
-    suite.camera = await launch({ webgpu: false, more: fake });
+    suite.camera = await launchCamera(suite.folder);
     suite.browser = await launch();
   });
   after(async () => {
