@@ -42,7 +42,7 @@ describe('rooms in the element', () => {
 
   /** Opens a page with an element, on the server's own site or another. */
   async function open(attributes, { sameSite = false, options = {} } = {}) {
-    const opened = await openPage(suite.browser, options);
+    const opened = await openPage(suite.browser, { viewport: { width: 400, height: 300 }, ...options });
     const { page } = opened;
     await page.addInitScript(() => {
       window.events = [];

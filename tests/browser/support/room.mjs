@@ -9,6 +9,8 @@ import { FRAMES, frameNumber, HEIGHT, psnr, rgba, WIDTH } from './video.mjs';
 
 /** PSNR in dB from which a picture equals its source except for compression. */
 export const SAME_DB = 32;
+/** Size of both pages: small, because they draw all the time. */
+const SMALL = { viewport: { width: 700, height: 520 } };
 
 /** Call it in `describe`. `args` returns further server arguments, given a temporary folder. */
 export function roomSuite(args = () => []) {
@@ -19,7 +21,7 @@ export function roomSuite(args = () => []) {
     folder: mkdtempSync(join(tmpdir(), 'tmpi-room-')),
     /** Publishes in a room from its page; `prepare` runs before the page loads, `loaded` before it publishes. */
     async publish(room, { hash = '', options = {}, prepare = async () => {}, loaded = async () => {} } = {}) {
-      const opened = await openPage(suite.camera, { permissions: ['camera', 'microphone'], ...options });
+      const opened = await openPage(suite.camera, { ...SMALL, permissions: ['camera', 'microphone'], ...options });
       await prepare(opened.page);
       await opened.page.goto(`${suite.server.url}/live/${room}/publish${hash}`);
       await loaded(opened.page);
@@ -30,7 +32,7 @@ export function roomSuite(args = () => []) {
     },
     /** Opens the viewer's page. */
     async watch(room, { hash = '', options = {}, prepare = async () => {} } = {}) {
-      const opened = await openPage(suite.browser, options);
+      const opened = await openPage(suite.browser, { ...SMALL, ...options });
       await prepare(opened.page);
       await opened.page.goto(`${suite.server.url}/live/${room}${hash}`);
       return opened;
