@@ -10,7 +10,8 @@ describe('server views', () => {
   const isShown = ({ serverViews }) => serverViews.shown === serverViews.wanted;
 
   test('request one view at a time, the latest pose last', async (t) => {
-    const { page, context, errors } = await openPage(suite.browser);
+    // a small page, because the test's own process draws the views
+    const { page, context, errors } = await openPage(suite.browser, { viewport: { width: 480, height: 460 } });
     await disableGraphics(page, { webgl: false });
     await page.goto(`${suite.server.url}/view/box`);
     await waitForMode(page, 'served');
