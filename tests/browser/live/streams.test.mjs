@@ -56,12 +56,16 @@ describe('streams', () => {
     return file;
   }
 
-  /** Encodes an H.264 film of one repeated picture, longer than a test takes. */
+  /** Encodes an H.264 film of one repeated picture, longer than a test takes: two seconds, which a raw stream repeats. */
   function film(name, { size = '320x240', filters = 'null', parameters = '', more = [], seconds = 60 }) {
     const file = join(folder, name);
-    const source = `testsrc2=size=${size}:rate=10:duration=0.1,loop=${seconds * 10}:1:0,setpts=N/10/TB,${filters}`;
+    const times = name.endsWith('.h264') ? Math.ceil(seconds / 2) : 1;
+    // whole groups of pictures
+    const repeats = (seconds / times) * 10 - 1;
+    const source = `testsrc2=size=${size}:rate=10:duration=0.1,loop=${repeats}:1:0,setpts=N/10/TB,${filters}`;
     const coder = ['-c:v', 'libx264', '-preset', 'veryfast', '-bf', '0', '-crf', '8', '-x264-params', `keyint=10:${parameters}`];
     ffmpeg(['-f', 'lavfi', '-i', source, ...coder, ...more, file]);
+    if (times > 1) writeFileSync(file, Buffer.concat(Array(times).fill(readFileSync(file))));
     return file;
   }
 
