@@ -5,7 +5,7 @@ import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
+import { launch, openPage, pixelsAt, ROOM, waitForMode } from '../support/browser.mjs';
 import { program, startServer } from '../support/program.mjs';
 import { skip } from '../support/skip.mjs';
 import { until } from '../support/until.mjs';
@@ -129,7 +129,7 @@ describe('streams', () => {
       const plain = options.filters ? {} : { filters: 'scale=out_color_matrix=bt709,format=yuv420p' };
       const file = film(`kind${at}.h264`, { ...plain, ...options });
       const publisher = publish(`kind${at}`, file);
-      const { page, context, errors } = await openPage(browser);
+      const { page, context, errors } = await openPage(browser, ROOM);
       await page.goto(`${server.url}/live/kind${at}`);
       const same = await pagePsnr(page, reference(file, reading));
       assert.ok(same > SAME_DB, `${same.toFixed(1)} dB; ${publisher.log}`);
@@ -147,7 +147,7 @@ describe('streams', () => {
       ['fields', film('fields.h264', { filters: 'format=yuv420p', parameters: 'interlaced=1' })],
     ]) {
       const publisher = publish(room, file);
-      const { page, context } = await openPage(browser);
+      const { page, context } = await openPage(browser, ROOM);
       await page.goto(`${server.url}/live/${room}`);
       const same = await pagePsnr(page, reference(file, 'in_color_matrix=bt601:'));
       assert.ok(same > TRANSCODED_DB, `${room}: ${same.toFixed(1)} dB; ${publisher.log}`);
@@ -163,7 +163,7 @@ describe('streams', () => {
     const both = join(folder, 'both.h264');
     writeFileSync(both, Buffer.concat([readFileSync(wide), readFileSync(high)]));
     const publisher = publish('turn', both, 20);
-    const { page, context, errors } = await openPage(browser);
+    const { page, context, errors } = await openPage(browser, ROOM);
     await page.goto(`${server.url}/live/turn`);
     await page.evaluate(() => {
       window.notReloaded = true;
@@ -228,10 +228,10 @@ describe('streams', () => {
     if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
     const good = accessUnits(film('good.h264', { filters: 'format=yuv420p', more: ['-profile:v', 'baseline'], seconds: 20 })).slice(0, 120);
     const bad = accessUnits(film('chroma.h264', { filters: 'format=yuv422p', seconds: 1 }));
-    const { page, context } = await openPage(browser);
+    const { page, context } = await openPage(browser, ROOM);
     await page.goto(`${server.url}/live/odd`);
     await page.getByText('Nobody is live here yet').waitFor();
-    const publisher = await openPage(browser);
+    const publisher = await openPage(browser, ROOM);
     await publisher.page.goto(`${server.url}/live/odd/publish`);
     const reason = await publishFrames(publisher.page, 'odd', [...good, ...bad]);
     assert.match(reason, /4:2:0/);
@@ -273,7 +273,7 @@ describe('streams', () => {
       if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
       const room = `mute-${kind.length}`;
       const publisher = publish(room, film(`${room}.h264`, { filters: 'format=yuv420p' }));
-      const { page, context } = await openPage(browser);
+      const { page, context } = await openPage(browser, ROOM);
       await fakeDecoder(page, script);
       await page.goto(`${server.url}/live/${room}`);
       await page.getByText('This browser cannot show the video of this room').waitFor();

@@ -73,6 +73,8 @@ export async function launch({ webgpu = true, more = [] } = {}) {
 export const MOTION = { reducedMotion: 'no-preference' };
 /** Size of a page without further options. */
 export const VIEWPORT = { width: 960, height: 600 };
+/** Page options for rooms: smaller, because rooms draw all the time. */
+export const ROOM = { viewport: { width: 700, height: 520 } };
 
 /** Opens a page; `errors` collects script and console errors. */
 export async function openPage(browser, more = {}) {

@@ -3,14 +3,12 @@ import { mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before } from 'node:test';
-import { evaluateBytes, launch, launchCamera, openPage, pixelsAt } from './browser.mjs';
+import { evaluateBytes, launch, launchCamera, openPage, pixelsAt, ROOM } from './browser.mjs';
 import { startServer } from './program.mjs';
 import { FRAMES, frameNumber, HEIGHT, psnr, rgba, WIDTH } from './video.mjs';
 
 /** PSNR in dB from which a picture equals its source except for compression. */
 export const SAME_DB = 32;
-/** Size of both pages: small, because they draw all the time. */
-const SMALL = { viewport: { width: 700, height: 520 } };
 
 /** Call it in `describe`. `args` returns further server arguments, given a temporary folder. */
 export function roomSuite(args = () => []) {
@@ -21,7 +19,7 @@ export function roomSuite(args = () => []) {
     folder: mkdtempSync(join(tmpdir(), 'tmpi-room-')),
     /** Publishes in a room from its page; `prepare` runs before the page loads, `loaded` before it publishes. */
     async publish(room, { hash = '', options = {}, prepare = async () => {}, loaded = async () => {} } = {}) {
-      const opened = await openPage(suite.camera, { ...SMALL, permissions: ['camera', 'microphone'], ...options });
+      const opened = await openPage(suite.camera, { ...ROOM, permissions: ['camera', 'microphone'], ...options });
       await prepare(opened.page);
       await opened.page.goto(`${suite.server.url}/live/${room}/publish${hash}`);
       await loaded(opened.page);
@@ -32,7 +30,7 @@ export function roomSuite(args = () => []) {
     },
     /** Opens the viewer's page. */
     async watch(room, { hash = '', options = {}, prepare = async () => {} } = {}) {
-      const opened = await openPage(suite.browser, { ...SMALL, ...options });
+      const opened = await openPage(suite.browser, { ...ROOM, ...options });
       await prepare(opened.page);
       await opened.page.goto(`${suite.server.url}/live/${room}${hash}`);
       return opened;
