@@ -31,7 +31,7 @@ describe('many elements without WebGPU', () => {
   let browser;
   before(async () => {
     server = await serve({ atlas: boxContainer() });
-    browser = await launch({ webgpu: false, more: ['--use-angle=swiftshader', '--enable-unsafe-swiftshader'] });
+    browser = await launch({ webgpu: false });
   });
   after(async () => {
     await browser?.close();
