@@ -17,6 +17,9 @@ const FILE_MS = 10 * 60_000;
 const BROWSER_CONCURRENCY = Number(process.env.TMPI_PAGES_AT_ONCE || Math.min(2, availableParallelism()));
 /** Files that measure time, which run alone. */
 const TIMED = /^live\/(?:faults|hidden-page|room|streams)\.|^element\/room/;
+/** The longest files with a browser, which start first, so that none of them runs alone in the end. */
+const LONG =
+  /^app\/(?:controls|end-to-end|export|fullscreen|share|touch-up)\.|^draw\/scenes|^element\/(?:frameworks|many|restrictive)|^input\/gestures|^view\/lifetime/;
 
 /** Whether test files import a module in `support`, directly or not, by their names. */
 function importersOf(module) {
@@ -36,9 +39,16 @@ const all = readdirSync(FOLDER, { recursive: true }).filter((name) => name.endsW
 const named = process.argv.slice(2).map((name) => relative(FOLDER, resolve(name)));
 const files = (named.length ? named : all).toSorted();
 const browserFiles = files.filter(importersOf('browser.mjs'));
+const withoutBrowser = files.filter((name) => !browserFiles.includes(name));
+const together = browserFiles.filter((name) => !TIMED.test(name)).toSorted((a, b) => LONG.test(b) - LONG.test(a));
 const groups = [
-  { files: files.filter((name) => !browserFiles.includes(name)), concurrency: availableParallelism() },
-  { files: browserFiles.filter((name) => !TIMED.test(name)), concurrency: BROWSER_CONCURRENCY },
+  // on two cores one group, so that no core waits for the other group's last file
+  ...(BROWSER_CONCURRENCY === availableParallelism()
+    ? [{ files: [...withoutBrowser, ...together], concurrency: BROWSER_CONCURRENCY }]
+    : [
+        { files: withoutBrowser, concurrency: availableParallelism() },
+        { files: together, concurrency: BROWSER_CONCURRENCY },
+      ]),
   { files: browserFiles.filter((name) => TIMED.test(name)), concurrency: 1 },
 ];
 
