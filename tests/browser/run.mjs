@@ -15,11 +15,11 @@ const SLOWEST = 10;
 const FILE_MS = 10 * 60_000;
 /** Browser test files that run in parallel. On two cores, five files took 121 and 117 s one by one, 99 and 97 s in pairs (`TMPI_PAGES_AT_ONCE=1`, `2`). */
 const BROWSER_CONCURRENCY = Number(process.env.TMPI_PAGES_AT_ONCE || Math.min(2, availableParallelism()));
-/** Files that measure time, which run alone. */
-const TIMED = /^live\/(?:faults|hidden-page|room|streams)\.|^element\/room/;
+/** Files that measure time or rates, which run alone. The other tests of rooms wait for conditions. */
+const TIMED = /^live\/(?:hidden-page|room)\./;
 /** The longest files with a browser, which start first, so that none of them runs alone in the end. */
 const LONG =
-  /^app\/(?:controls|end-to-end|export|fullscreen|share|touch-up)\.|^draw\/scenes|^element\/(?:frameworks|many|restrictive)|^input\/gestures|^view\/lifetime/;
+  /^app\/(?:controls|end-to-end|export|fullscreen|share|touch-up)\.|^draw\/scenes|^element\/(?:frameworks|many|restrictive|room)|^input\/gestures|^live\/(?:faults|streams)|^view\/lifetime/;
 
 /** Whether test files import a module in `support`, directly or not, by their names. */
 function importersOf(module) {

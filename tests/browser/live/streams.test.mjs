@@ -159,7 +159,7 @@ describe('streams', () => {
   test('viewers follow a change of video size', async (t) => {
     if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
     const filters = 'scale=out_color_matrix=bt709,format=yuv420p';
-    const [wide, high] = [film('wide.h264', { filters, seconds: 30 }), film('high.h264', { size: '240x320', filters })];
+    const [wide, high] = [film('wide.h264', { filters, seconds: 40 }), film('high.h264', { size: '240x320', filters })];
     const both = join(folder, 'both.h264');
     writeFileSync(both, Buffer.concat([readFileSync(wide), readFileSync(high)]));
     const publisher = publish('turn', both, 20);
