@@ -99,7 +99,7 @@ export async function seriousViolations(page) {
   // evaluate bypasses the page's script policy
   await page.evaluate(readFileSync(path, 'utf8'));
   return page.evaluate(async () => {
-    const { violations } = await window.axe.run();
+    const { violations } = await window.axe.run({ resultTypes: ['violations'] });
     const serious = violations.filter(({ impact }) => impact === 'serious' || impact === 'critical');
     return serious.flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.html}`));
   });
