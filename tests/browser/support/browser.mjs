@@ -18,13 +18,13 @@ const PLAIN = [
   '--disable-sync',
 ];
 const NATIVE = process.env.TMPI_WEBGPU === 'native';
+// with Vulkan, Chromium paints pages on the GPU, too, which is slow in software: the processor paints them faster without
+const SOFTWARE = ['--use-vulkan=swiftshader', '--use-angle=swiftshader', '--disable-gpu-rasterization'];
 // without a display the driver has no surfaces, so disable them, else WebGPU falls back to software
 const WEBGPU = [
   '--enable-unsafe-webgpu',
   '--enable-features=Vulkan',
-  ...(NATIVE
-    ? ['--use-angle=vulkan', '--ignore-gpu-blocklist', '--disable-vulkan-surface']
-    : ['--use-vulkan=swiftshader', '--use-angle=swiftshader']),
+  ...(NATIVE ? ['--use-angle=vulkan', '--ignore-gpu-blocklist', '--disable-vulkan-surface'] : SOFTWARE),
 ];
 /** Environment variable with the address of the shared Chromium. */
 export const SHARED = 'TMPI_CHROMIUM_SERVER';
