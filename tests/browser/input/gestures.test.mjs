@@ -5,7 +5,8 @@ import { openPage, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 import { waitForStill } from '../support/until.mjs';
 
-const SMALL = { viewport: { width: 500, height: 480 } };
+/** A small page, because each step of a gesture waits for a frame. */
+const SMALL = { viewport: { width: 400, height: 400 } };
 const zoom = (page) => page.evaluate(() => window.viewer.zoom);
 /** Waits until nothing moves and the zoom is in a range. */
 const waitForZoom = (page, least, most) =>
@@ -95,9 +96,9 @@ describe('gestures', () => {
     assert.ok(dragged < -0.003, `${dragged}`);
     await page.mouse.move(cx + 41, cy);
     assert.ok(Math.abs((await settled()) - dragged) < 0.004, 'no jump');
-    await page.mouse.move(cx + 100, cy, { steps: 10 });
+    await page.mouse.move(cx + 100, cy, { steps: 4 });
     const right = await settled();
-    await page.mouse.move(cx - 150, cy, { steps: 20 });
+    await page.mouse.move(cx - 150, cy, { steps: 6 });
     assert.ok((await settled()) > right + 0.005, 'the camera follows the pointer');
     await context.close();
   });
