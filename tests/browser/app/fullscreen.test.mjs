@@ -6,7 +6,7 @@ import { roomSuite } from '../support/room.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
 const SCREENS = {
-  desktop: { viewport: { width: 1280, height: 800 } },
+  desktop: { viewport: { width: 960, height: 600 } },
   'a phone': { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true },
   'a phone in landscape': { viewport: { width: 844, height: 390 }, hasTouch: true, isMobile: true },
 };

@@ -72,7 +72,7 @@ export async function launch({ webgpu = true, more = [] } = {}) {
 /** Page options for idle motion. By default pages rest until the test moves the camera, because software rendering is slow. */
 export const MOTION = { reducedMotion: 'no-preference' };
 /** Size of a page without further options. */
-export const VIEWPORT = { width: 960, height: 600 };
+export const VIEWPORT = { width: 800, height: 500 };
 /** Page options for rooms: smaller, because rooms draw all the time. */
 export const ROOM = { viewport: { width: 700, height: 520 } };
 
