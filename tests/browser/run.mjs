@@ -17,9 +17,12 @@ const FILE_MS = 10 * 60_000;
 const BROWSER_CONCURRENCY = Number(process.env.TMPI_PAGES_AT_ONCE || Math.min(2, availableParallelism()));
 /** Files that measure time or rates, which run alone. The other tests of rooms wait for conditions. */
 const TIMED = /^live\/(?:hidden-page|room)\./;
-/** The longest files with a browser, which start first, so that none of them runs alone in the end. */
+/**
+ * The longest files with a browser, which start first, so that none of them runs alone in the end; only one has rooms,
+ * because two such files slow each other down.
+ */
 const LONG =
-  /^app\/(?:controls|end-to-end|export|fullscreen|share|touch-up)\.|^draw\/scenes|^element\/(?:frameworks|many|restrictive|room)|^input\/gestures|^live\/(?:faults|streams)|^view\/lifetime/;
+  /^app\/(?:controls|end-to-end|export|fullscreen|share|touch-up)\.|^draw\/scenes|^element\/(?:frameworks|many|restrictive)|^input\/gestures|^live\/streams|^view\/lifetime/;
 
 /** Whether test files import a module in `support`, directly or not, by their names. */
 function importersOf(module) {
