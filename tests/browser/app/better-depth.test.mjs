@@ -1,10 +1,12 @@
 // The offer of a better depth network that the server can download.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { waitForMode } from '../support/browser.mjs';
+import { openPage, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 import { until, waitForAnimationFrames } from '../support/until.mjs';
 
+/** A small page: only its menu matters. */
+const SMALL = { viewport: { width: 480, height: 560 } };
 const NAME = 'depth-anything-v2-small-fp16';
 const WORSE = ['depth-anything-v2-metric', 'midas-v2.1', 'midas-v2.1-small', 'tmpi'];
 const BETTER = { name: NAME, bytes: 49_642_442, licence: 'Apache-2.0' };
@@ -13,12 +15,14 @@ describe('better depth', () => {
   const suite = boxSuite();
 
   /**
-   * Opens the photo page with a report that names `model`; the server's network goes through `states`. Without access to /v1/network, the network is
-   * `name`.
+   * Opens the photo page, on `all` if that is given, with a report that names `model`; the server's network goes through `states`. Without access to
+   * /v1/network, the network is `name`.
    */
-  async function opened(model, states, name) {
-    const all = await suite.open();
+  async function opened(model, states, name, all) {
+    all ??= await openPage(suite.browser, SMALL);
     const { page } = all;
+    await page.unrouteAll();
+    await page.goto(`${suite.server.url}/view/box`);
     await waitForMode(page, 'gpu');
     const requests = [];
     const counts = { photos: 0 };
@@ -84,6 +88,7 @@ describe('better depth', () => {
   });
 
   test('no offer without a better network, or to strangers', async () => {
+    const all = await openPage(suite.browser, SMALL);
     for (const [model, count, now] of [
       ['given', 0, { name: NAME, better_than: WORSE }],
       [NAME, 1, { name: NAME, better_than: WORSE }],
@@ -94,14 +99,14 @@ describe('better depth', () => {
       ['tmpi', 1, 401],
       ['tmpi', 1, 403],
     ]) {
-      const { page, context, requests, counts, menu } = await opened(model, [now]);
+      const { page, requests, counts, menu } = await opened(model, [now], undefined, all);
       await menu.locator('#depth-source').waitFor();
       // the last response with the photo decides whether there is an offer
       await until(() => counts.photos >= count);
       await waitForAnimationFrames(page, 3);
       assert.equal(await menu.locator('#better-depth > *').count(), 0, model);
       assert.equal(requests.length, count, model);
-      await context.close();
     }
+    await all.context.close();
   });
 });

@@ -7,7 +7,7 @@ import { launch, openPage, waitForMode } from '../support/browser.mjs';
 import { boxContainer } from '../support/container.mjs';
 import { serve } from '../support/fake-server.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
-import { until as waitUntil } from '../support/until.mjs';
+import { waitForStill, until as waitUntil } from '../support/until.mjs';
 
 const EMULATOR = createRequire(import.meta.url).resolve('iwer/build/iwer.min.js');
 /** A touch device on which all controls appear. */
@@ -98,7 +98,7 @@ describe('every control', () => {
       },
       'button: Reset': async () => {
         await $('reset').click();
-        await until((v) => !v.moving && v.pose.tx === 0);
+        await waitForStill(page, { when: ({ pose }) => pose.tx === 0 });
       },
       'button: Motion': async () => {
         await $('idle').click();
@@ -174,7 +174,7 @@ describe('every control', () => {
         assert.equal(await viewer((v) => v.pivot), 0.7);
       },
       'button: Begin with this view': async () => {
-        await until((v) => !v.moving); // back from the orbit
+        await waitForStill(page); // back from the orbit
         await $('set-start').click();
         assert.deepEqual(await viewer((v) => v.settings.start), { x: 0, y: 0, z: 0 });
       },

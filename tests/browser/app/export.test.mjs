@@ -30,6 +30,8 @@ describe('exports', () => {
   let browser;
   let made;
   let folder;
+  /** A page that decodes pictures. */
+  let reader;
   const files = {};
   before(async () => {
     server = await startServer();
@@ -43,6 +45,8 @@ describe('exports', () => {
       files[format] = Buffer.from(await response.arrayBuffer());
     }
     writeFileSync(join(folder, 'photo.html'), files.html);
+    ({ page: reader } = await openPage(browser));
+    await reader.goto(server.url);
   });
   after(async () => {
     await browser?.close();
@@ -60,22 +64,12 @@ describe('exports', () => {
   }
 
   /** The server's view at a pose. */
-  async function served(pose) {
-    const { page, context } = await openPage(browser);
-    await page.goto(server.url);
+  function served(pose) {
     const query = new URLSearchParams({ ...pose, w: WIDTH, h: HEIGHT, format: 'png' });
-    const pixels = await filePixels(page, `/v1/photos/${made.id}/view?${query}`);
-    await context.close();
-    return pixels;
+    return filePixels(reader, `/v1/photos/${made.id}/view?${query}`);
   }
 
-  async function screenshot(page) {
-    const shot = await page.screenshot();
-    const { page: reader, context } = await openPage(browser);
-    const pixels = await filePixels(reader, `data:image/png;base64,${shot.toString('base64')}`);
-    await context.close();
-    return pixels;
-  }
+  const screenshot = async (page) => filePixels(reader, await page.screenshot());
 
   test('the page works from disk without requests', async (t) => {
     const { page, context, errors, requests } = await openPageFile(browser, MOTION);
@@ -103,9 +97,7 @@ describe('exports', () => {
     // the photo fits into the window as a whole
     const scale = Math.min(width / WIDTH, height / HEIGHT);
     assert.deepEqual([WIDTH * scale, HEIGHT * scale], [width, height], 'the window has its shape');
-    const { page: reader, context } = await openPage(browser);
     const photo = await filePixels(reader, boxPhoto(WIDTH, HEIGHT), VIEWPORT);
-    await context.close();
     const pages = [await openPageFile(plain), await openPageFile(plain, { javaScriptEnabled: false })];
     await pages[0].page.waitForFunction(() => document.getElementById('stage').dataset.mode);
     for (const { page, errors, requests } of pages) {

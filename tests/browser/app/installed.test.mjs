@@ -1,7 +1,7 @@
 // The page as an installed app: its manifest, photos that other apps share with it, and notifications.
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
-import { filePixels, fractionDifferent, launch, openPage } from '../support/browser.mjs';
+import { evaluateBytes, filePixels, fractionDifferent, launch, openPage } from '../support/browser.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
 import { startServer } from '../support/program.mjs';
 import { gate, until } from '../support/until.mjs';
@@ -52,7 +52,8 @@ describe('the installed page', () => {
       const own = await filePixels(page, address);
       assert.equal(own.length, size * size * 4, src);
       // as the vector icon is drawn
-      const drawn = await page.evaluate(
+      const drawn = await evaluateBytes(
+        page,
         async ([vector, side]) => {
           const image = new Image(side, side);
           image.src = vector;
@@ -60,7 +61,7 @@ describe('the installed page', () => {
           const canvas = Object.assign(document.createElement('canvas'), { width: side, height: side });
           const pen = canvas.getContext('2d');
           pen.drawImage(image, 0, 0, side, side);
-          return [...pen.getImageData(0, 0, side, side).data];
+          return pen.getImageData(0, 0, side, side).data;
         },
         [new URL('icon.svg', url).href, size],
       );

@@ -30,11 +30,20 @@ describe('the photo page', () => {
     return opened;
   }
 
-  test('shows all settings at once on a desktop', async () => {
+  test('a desktop shows all settings and a long dialog’s buttons', async () => {
     const { page, context } = await open(DESKTOP);
     await page.locator('#settings').click();
     await assertOnScreen(page.locator('#set-title'), 'first setting');
     await assertOnScreen(page.locator('#delete'), 'last setting');
+    await page.keyboard.press('Escape');
+    await page.locator('#share').click();
+    await page.locator('#share-embed').click();
+    const dialog = page.getByRole('dialog', { name: 'Put it on a page' });
+    await dialog.waitFor();
+    for (const name of ['Copy: In a frame', 'Copy: As an element', 'Close'])
+      await assertOnScreen(dialog.getByRole('button', { name }), name);
+    const [download, close] = [dialog.getByRole('link', { name: 'Download' }), dialog.getByRole('button', { name: 'Close' })];
+    assert.ok((await bounds(download)).bottom <= (await bounds(close)).top, 'nothing covers the link');
     await context.close();
   });
 
@@ -60,19 +69,6 @@ describe('the photo page', () => {
     }
     await context.close();
   });
-
-  test('shows the buttons of a long dialog', async () => {
-    const { page, context } = await open(DESKTOP);
-    await page.locator('#share').click();
-    await page.locator('#share-embed').click();
-    const dialog = page.getByRole('dialog', { name: 'Put it on a page' });
-    await dialog.waitFor();
-    for (const name of ['Copy: In a frame', 'Copy: As an element', 'Close'])
-      await assertOnScreen(dialog.getByRole('button', { name }), name);
-    const [download, close] = [dialog.getByRole('link', { name: 'Download' }), dialog.getByRole('button', { name: 'Close' })];
-    assert.ok((await bounds(download)).bottom <= (await bounds(close)).top, 'nothing covers the link');
-    await context.close();
-  });
 });
 
 describe('other pages', () => {
@@ -96,11 +92,7 @@ describe('other pages', () => {
   for (const [screen, options] of Object.entries({ 'a desktop': DESKTOP, 'a phone': PHONE })) {
     test(`the publisher’s page shows the next step on ${screen}`, async () => {
       const room = screen.replace(' ', '-');
-      const before = await openPage(suite.camera, { ...options, permissions: ['camera', 'microphone'] });
-      await before.page.goto(`${suite.server.url}/live/${room}/publish`);
-      await assertOnScreen(before.page.locator('#go'), 'Start');
-      await before.context.close();
-      const { page, context } = await suite.publish(room, { options });
+      const { page, context } = await suite.publish(room, { options, loaded: (page) => assertOnScreen(page.locator('#go'), 'Start') });
       await page.locator('#link').waitFor();
       for (const id of ['preview', 'stop', 'link', 'copy']) await assertOnScreen(page.locator(`#${id}`), id);
       await context.close();

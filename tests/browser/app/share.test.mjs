@@ -15,8 +15,8 @@ const SIZES = [
 describe('sharing', () => {
   const suite = boxSuite();
 
-  async function open(viewport = SIZES[0], more = {}) {
-    const opened = await suite.open({ viewport, acceptDownloads: true, ...more });
+  async function open(more = {}) {
+    const opened = await suite.open({ acceptDownloads: true, ...more });
     await waitForMode(opened.page, 'gpu');
     return opened;
   }
@@ -53,6 +53,10 @@ describe('sharing', () => {
     suite.server.state.settings = { version: 1, title: 'The box' };
     const { page, context, errors } = await open();
     await context.grantPermissions(['clipboard-read', 'clipboard-write']);
+    await page.locator('#share').click();
+    assert.ok(await page.locator('#share-link').isVisible());
+    assert.ok(await page.locator('#share-access').isHidden(), 'the access dialog is for servers with access control');
+    await page.keyboard.press('Escape');
     const dialog = await dialogOf(page, '#share-embed', 'Put it on a page');
     await dialog.getByText('only on this machine').waitFor();
     await dialog.getByRole('button', { name: 'Copy: As an element' }).click();
@@ -63,6 +67,15 @@ describe('sharing', () => {
     assert.match(await dialog.getByRole('link', { name: 'Download' }).getAttribute('href'), /\/export\?format=html$/);
     await page.keyboard.press('Escape');
     await dialog.waitFor({ state: 'detached' });
+    // without a clipboard API the text is selected
+    await page.evaluate(() => Object.defineProperty(navigator, 'clipboard', { value: undefined }));
+    await dialogOf(page, '#share-embed', 'Put it on a page');
+    await dialog.getByRole('button', { name: 'Copy: In a frame' }).click();
+    const selected = await page.evaluate(() => {
+      const { value, selectionStart, selectionEnd } = document.activeElement;
+      return [selectionStart, selectionEnd - value.length, value.startsWith('<iframe')];
+    });
+    assert.deepEqual(selected, [0, 0, true]);
     assert.deepEqual(errors, []);
     const other = await context.newPage();
     await other.goto(`${suite.server.url}/embed/blank`);
@@ -72,23 +85,7 @@ describe('sharing', () => {
     suite.server.state.settings = undefined;
   });
 
-  test('without a clipboard API the text is selected', async () => {
-    const { page, context } = await open();
-    await page.evaluate(() => Object.defineProperty(navigator, 'clipboard', { value: undefined }));
-    const dialog = await dialogOf(page, '#share-embed', 'Put it on a page');
-    await dialog.getByRole('button', { name: 'Copy: In a frame' }).click();
-    const selected = await page.evaluate(() => {
-      const { value, selectionStart, selectionEnd } = document.activeElement;
-      return [selectionStart, selectionEnd - value.length, value.startsWith('<iframe')];
-    });
-    assert.deepEqual(selected, [0, 0, true]);
-    await context.close();
-  });
-
-  test('the access dialog appears only on servers with access control', async () => {
-    const plain = await open();
-    assert.ok(await plain.page.locator('#share-access').isHidden());
-    await plain.context.close();
+  test('the access dialog limits, extends and revokes access', async () => {
     const manage = `/view/box#manage=tmpi_m_${'0f'.repeat(32)}`;
     Object.assign(suite.server.state, {
       visibility: 'private',
@@ -199,7 +196,7 @@ describe('sharing', () => {
       [`${suite.server.url}/view/box`, null],
     ]) {
       await page.goto(address);
-      await waitForMode(page, 'gpu');
+      await page.waitForFunction(() => window.viewer);
       const dialog = await dialogOf(page, '#share-link', 'Link to this view');
       if (link) {
         assert.equal(await dialog.getByRole('textbox').inputValue(), link);
@@ -254,7 +251,7 @@ describe('sharing', () => {
   test('dialogs fit every screen in both languages', async () => {
     Object.assign(suite.server.state, { visibility: 'private', links: { manage: `/view/box#manage=tmpi_m_${'a'.repeat(64)}` } });
     for (const locale of ['en', 'de']) {
-      const { page, context } = await open(SIZES[0], { locale });
+      const { page, context } = await open({ locale });
       for (const viewport of SIZES) {
         await page.setViewportSize(viewport);
         for (const entry of ['#share-link', '#share-embed', '#share-film', '#share-access']) {

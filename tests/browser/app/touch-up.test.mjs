@@ -34,7 +34,7 @@ describe('touch-up', () => {
   });
 
   /** Uploads a new photo and opens its page: `{page, context, errors, id, depth}`. */
-  async function opened(shade, options = {}) {
+  async function opened(shade, options = { viewport: { width: 960, height: 600 } }) {
     const made = await makePhoto(
       server.url,
       boxPhoto(WIDTH, HEIGHT),

@@ -49,6 +49,7 @@ describe('many uploads', () => {
 
   test('shows active uploads, counts all, and hides finished ones', async () => {
     const { page, context, sent, finish, most } = await open(COUNT);
+    await page.clock.install();
     await page.getByText(`0 of ${COUNT} ready`).waitFor();
     assert.deepEqual(await names(page), ['photo 0.png', 'photo 1.png', 'photo 2.png']);
     assert.equal(await page.locator('#uploads-more-text').textContent(), `and ${COUNT - 3} more`);
@@ -68,7 +69,10 @@ describe('many uploads', () => {
     await page.getByText(`${COUNT} of ${COUNT} ready`).waitFor();
     assert.deepEqual(await names(page), [`photo ${COUNT - 1}.png`]);
     assert.equal(await page.title(), 'tmpi – 3D photos');
-    await page.locator('#uploads').waitFor({ state: 'hidden', timeout: 20_000 });
+    // the last one stays a while
+    assert.ok(await page.locator('#uploads').isVisible());
+    await page.clock.fastForward(20_000);
+    await page.locator('#uploads').waitFor({ state: 'hidden' });
     await context.close();
   });
 

@@ -1,6 +1,6 @@
 // Stacked soft layers: their order for cameras that look forward and backward, and blending with more than 8 bits.
 import assert from 'node:assert/strict';
-import { describe, test } from 'node:test';
+import { before, describe, test } from 'node:test';
 import { pieces } from '../../../static/draw/border.js';
 import { hasDeepStacks } from '../../../static/draw/deep-stacks.js';
 import { halfBits, premultipliedHalves } from '../../../static/draw/half-float.js';
@@ -28,10 +28,15 @@ describe('soft layers', () => {
   const far = { delta: 0.25, alpha: 128, colour: () => [250, 20, 20] };
   const near = { delta: 0.5, alpha: 128, colour: () => [20, 20, 250] };
 
+  let page;
+  let errors;
+  before(async () => {
+    ({ page, errors } = await openPage(suite.browser));
+    await page.goto(`${suite.server.url}/embed/blank`);
+  });
+
   for (const mode of MODES) {
     test(`a camera that looks back sees the opposite order (${mode})`, async (t) => {
-      const { page, context, errors } = await openPage(suite.browser);
-      await page.goto(`${suite.server.url}/embed/blank`);
       const scene = await assembledPlaneScene(t, [far, near]);
       const forward = await drawScene(page, mode, scene, {});
       assert.ok(worst(forward.pixels, [far, near], scene) < 1.5, 'the near layer covers the far one');
@@ -42,12 +47,9 @@ describe('soft layers', () => {
         assert.ok(Math.abs(got[c] - want) < 1.5, `${got}, not ${composite([near, far], 0, 0)}`),
       );
       assert.deepEqual(errors, []);
-      await context.close();
     });
 
     test(`a stack of thin layers blends precisely (${mode})`, async (t) => {
-      const { page, context, errors } = await openPage(suite.browser);
-      await page.goto(`${suite.server.url}/embed/blank`);
       const thin = (i) => ({
         delta: 0.1 * (i + 1),
         alpha: 20,
@@ -64,7 +66,6 @@ describe('soft layers', () => {
       const few = await assembledPlaneScene(t, planes.slice(4));
       assert.equal((await drawScene(page, mode, few, {})).wide, false, 'four layers need only 8 bits');
       assert.deepEqual(errors, []);
-      await context.close();
     });
   }
 

@@ -42,7 +42,7 @@ describe('rooms in the element', () => {
 
   /** Opens a page with an element, on the server's own site or another. */
   async function open(attributes, { sameSite = false, options = {} } = {}) {
-    const opened = await openPage(suite.browser, options);
+    const opened = await openPage(suite.browser, { viewport: { width: 400, height: 300 }, ...options });
     const { page } = opened;
     await page.addInitScript(() => {
       window.events = [];
@@ -126,60 +126,62 @@ describe('rooms in the element', () => {
     await publisher.context.close();
   });
 
-  test('an element out of view disconnects', async () => {
-    const publisher = await suite.publish('attic');
-    const { page, context } = await open(`src="${suite.server.url}/live/attic"`, { sameSite: true });
-    await assertPlays(page);
-    await publisher.page.waitForFunction(() => /1 watching/.test(document.getElementById('state').textContent));
-    await page.evaluate(() => {
-      document.querySelector('tmpi-viewer').style.marginTop = '5000px';
+  describe('that is live', () => {
+    let publisher;
+    before(async () => {
+      publisher = await suite.publish('attic');
     });
-    await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer.asleep);
-    await publisher.page.waitForFunction(() => !/1 watching/.test(document.getElementById('state').textContent));
-    await page.evaluate(() => {
-      document.querySelector('tmpi-viewer').style.marginTop = '';
-    });
-    await publisher.page.waitForFunction(() => /1 watching/.test(document.getElementById('state').textContent));
-    await assertPlays(page);
-    await context.close();
-    await publisher.context.close();
-  });
+    after(() => publisher?.context.close());
 
-  test('another site shows a room with a token', async () => {
-    const publisher = await suite.publish('attic');
-    for (const attributes of [
-      `src="${suite.server.url}/live/attic#token=${token('attic')}"`,
-      `src="${suite.server.url}/v1/live/attic" token="${token('attic')}"`,
-    ]) {
-      const { page, context, errors } = await open(attributes);
-      const urls = [];
-      page.on('request', (request) => urls.push(request.url()));
+    test('an element out of view disconnects', async () => {
+      const { page, context } = await open(`src="${suite.server.url}/live/attic"`, { sameSite: true });
       await assertPlays(page);
-      const [home, moved] = [await pixels(page, {}), await pixels(page, { tx: 0.05, yaw: -1 })];
-      assert.ok(fractionDifferent(home, moved, WIDTH, HEIGHT) > 0.1, 'a moved camera changes the picture');
-      assert.ok(!urls.some((url) => url.includes('token=')), `${urls}`);
-      assert.deepEqual(errors, []);
+      await publisher.page.waitForFunction(() => /1 watching/.test(document.getElementById('state').textContent));
+      await page.evaluate(() => {
+        document.querySelector('tmpi-viewer').style.marginTop = '5000px';
+      });
+      await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer.asleep);
+      await publisher.page.waitForFunction(() => !/1 watching/.test(document.getElementById('state').textContent));
+      await page.evaluate(() => {
+        document.querySelector('tmpi-viewer').style.marginTop = '';
+      });
+      await publisher.page.waitForFunction(() => /1 watching/.test(document.getElementById('state').textContent));
+      await assertPlays(page);
       await context.close();
-    }
-    await publisher.context.close();
-  });
+    });
 
-  test('asks for a link without a valid token', async () => {
-    const publisher = await suite.publish('attic');
-    for (const given of ['', ` token="${token('cellar')}"`]) {
-      const { page, context } = await open(`src="${suite.server.url}/live/attic"${given}`);
-      const alert = page.getByRole('alert');
-      await alert.getByText(/you need a link that is still valid/).waitFor();
-      await alert.getByText('The attic').waitFor();
-      assert.equal(await page.evaluate(() => document.querySelector('tmpi-viewer').state), 'refused');
-      await saveScreenshot(page, 'element-room-refused');
-      assert.deepEqual(await page.evaluate(() => window.events.filter(({ type }) => type === 'load')), []);
-      assert.equal(await page.evaluate(() => window.events.filter(({ type }) => type === 'error').length), 1);
-      await page.evaluate((good) => document.querySelector('tmpi-viewer').setAttribute('token', good), token('attic'));
-      await waitForElementMode(page, 'gpu');
-      assert.ok(await alert.isHidden());
-      await context.close();
-    }
-    await publisher.context.close();
+    test('another site shows a room with a token', async () => {
+      for (const attributes of [
+        `src="${suite.server.url}/live/attic#token=${token('attic')}"`,
+        `src="${suite.server.url}/v1/live/attic" token="${token('attic')}"`,
+      ]) {
+        const { page, context, errors } = await open(attributes);
+        const urls = [];
+        page.on('request', (request) => urls.push(request.url()));
+        await assertPlays(page);
+        const [home, moved] = [await pixels(page, {}), await pixels(page, { tx: 0.05, yaw: -1 })];
+        assert.ok(fractionDifferent(home, moved, WIDTH, HEIGHT) > 0.1, 'a moved camera changes the picture');
+        assert.ok(!urls.some((url) => url.includes('token=')), `${urls}`);
+        assert.deepEqual(errors, []);
+        await context.close();
+      }
+    });
+
+    test('asks for a link without a valid token', async () => {
+      for (const given of ['', ` token="${token('cellar')}"`]) {
+        const { page, context } = await open(`src="${suite.server.url}/live/attic"${given}`);
+        const alert = page.getByRole('alert');
+        await alert.getByText(/you need a link that is still valid/).waitFor();
+        await alert.getByText('The attic').waitFor();
+        assert.equal(await page.evaluate(() => document.querySelector('tmpi-viewer').state), 'refused');
+        await saveScreenshot(page, 'element-room-refused');
+        assert.deepEqual(await page.evaluate(() => window.events.filter(({ type }) => type === 'load')), []);
+        assert.equal(await page.evaluate(() => window.events.filter(({ type }) => type === 'error').length), 1);
+        await page.evaluate((good) => document.querySelector('tmpi-viewer').setAttribute('token', good), token('attic'));
+        await waitForElementMode(page, 'gpu');
+        assert.ok(await alert.isHidden());
+        await context.close();
+      }
+    });
   });
 });

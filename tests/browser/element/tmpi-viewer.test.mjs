@@ -5,7 +5,7 @@ import { fractionDifferent, MOTION, openPage, pixelsAt } from '../support/browse
 import { serve } from '../support/fake-server.mjs';
 import { boxPhoto, readPng } from '../support/pictures.mjs';
 import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
-import { until, waitForAnimationFrames } from '../support/until.mjs';
+import { until, waitForAnimationFrames, waitForStill } from '../support/until.mjs';
 
 describe('element', () => {
   const suite = boxSuite();
@@ -59,7 +59,7 @@ describe('element', () => {
     assert.deepEqual(await setMotion('orbit', '2'), ['orbit', 2, true]);
     await until(async () => (await distance()) > 0.01);
     assert.deepEqual((await setMotion('none', '1'))[2], false);
-    await page.waitForFunction(() => !document.querySelector('tmpi-viewer').viewer.moving);
+    await waitForStill(page, { viewer: "document.querySelector('tmpi-viewer').viewer" });
     await waitForAnimationFrames(page, 10);
     assert.equal(await distance(), 0, 'the camera is back at rest');
     await context.close();

@@ -4,6 +4,7 @@ import { describe, test } from 'node:test';
 import { Motion, STYLES } from '../../../static/input/camera-motion.js';
 import { MOTION, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
+import { waitForStill } from '../support/until.mjs';
 
 /** Simulates `seconds` of motion; returns the state at each frame. */
 function simulate(motion, seconds) {
@@ -59,8 +60,8 @@ describe('motion', () => {
     await waitForMode(page, 'gpu');
     // input takes time to reach the page, so wait for its effect
     const waitForPose = async (what, key, least, most) => {
-      const isThere = ([k, from, to]) => !window.viewer.moving && window.viewer.pose[k] >= from && window.viewer.pose[k] <= to;
-      await page.waitForFunction(isThere, [key, least, most], { timeout: 10_000 }).catch(async () => {
+      const isThere = ({ pose }, [k, from, to]) => pose[k] >= from && pose[k] <= to;
+      await waitForStill(page, { when: isThere, given: [key, least, most], timeout: 10_000 }).catch(async () => {
         assert.fail(`${what}: ${JSON.stringify(await page.evaluate(() => window.viewer.pose))}`);
       });
     };

@@ -3,15 +3,14 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
+import { waitForStill } from '../support/until.mjs';
 
-const SMALL = { viewport: { width: 500, height: 480 } };
+/** A small page, because each step of a gesture waits for a frame. */
+const SMALL = { viewport: { width: 400, height: 400 } };
 const zoom = (page) => page.evaluate(() => window.viewer.zoom);
 /** Waits until nothing moves and the zoom is in a range. */
 const waitForZoom = (page, least, most) =>
-  page.waitForFunction(
-    ([from, to]) => !window.viewer.moving && window.viewer.zoom.scale >= from && window.viewer.zoom.scale <= to,
-    [least, most],
-  );
+  waitForStill(page, { when: ({ zoom }, [from, to]) => zoom.scale >= from && zoom.scale <= to, given: [least, most] });
 
 /** Touch input: `touch` sends an event, `drag` moves all fingers by an offset. */
 async function touchInput(page) {
@@ -86,7 +85,7 @@ describe('gestures', () => {
     const box = await page.locator('#stage').boundingBox();
     const [cx, cy] = [box.x + box.width / 2, box.y + box.height / 2];
     const settled = async () => {
-      await page.waitForFunction(() => !window.viewer.moving);
+      await waitForStill(page);
       return page.evaluate(() => window.viewer.pose.tx);
     };
     await page.mouse.move(cx, cy);
@@ -97,9 +96,9 @@ describe('gestures', () => {
     assert.ok(dragged < -0.003, `${dragged}`);
     await page.mouse.move(cx + 41, cy);
     assert.ok(Math.abs((await settled()) - dragged) < 0.004, 'no jump');
-    await page.mouse.move(cx + 100, cy, { steps: 10 });
+    await page.mouse.move(cx + 100, cy, { steps: 4 });
     const right = await settled();
-    await page.mouse.move(cx - 150, cy, { steps: 20 });
+    await page.mouse.move(cx - 150, cy, { steps: 6 });
     assert.ok((await settled()) > right + 0.005, 'the camera follows the pointer');
     await context.close();
   });
@@ -157,10 +156,8 @@ describe('gestures', () => {
       // far from the last taps, else the browser counts triple taps; without a wait, else a busy machine taps too slowly
       const place = [close ? 120 : 200, 100];
       await Promise.all([touch('touchStart', place), touch('touchEnd'), touch('touchStart', place), touch('touchEnd')]);
-      await page.waitForFunction((wanted) => {
-        const { viewer } = document.querySelector('tmpi-viewer');
-        return !viewer.moving && viewer.zoom.scale > 1.5 === wanted;
-      }, close);
+      const isReached = ({ zoom }, wanted) => zoom.scale > 1.5 === wanted;
+      await waitForStill(page, { viewer: "document.querySelector('tmpi-viewer').viewer", when: isReached, given: close });
       await assertScrolls(close ? 'zoomed in' : 'zoomed out');
     }
     assert.deepEqual(

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
-import { waitForAnimationFrames } from '../support/until.mjs';
+import { waitForAnimationFrames, waitForStill } from '../support/until.mjs';
 
 describe('gyroscope', () => {
   const suite = boxSuite();
@@ -20,7 +20,7 @@ describe('gyroscope', () => {
     const settled = async () => {
       // an event takes effect in the next frame
       await waitForAnimationFrames(page, 3);
-      await page.waitForFunction(() => !window.viewer.moving);
+      await waitForStill(page);
     };
     const pose = () => page.evaluate(() => window.viewer.pose);
     // wait for the permission request

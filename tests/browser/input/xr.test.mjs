@@ -71,13 +71,4 @@ describe('headset', () => {
     assert.deepEqual(errors, []);
     await context.close();
   });
-
-  test('no button without a headset', async () => {
-    const { page, context } = await openPage(suite.browser, SMALL);
-    await page.goto(`${suite.server.url}/view/box`);
-    await waitForMode(page, 'gpu');
-    await page.locator('#show').click();
-    assert.equal(await page.getByRole('button', { name: 'Look around in a headset' }).isVisible(), false);
-    await context.close();
-  });
 });

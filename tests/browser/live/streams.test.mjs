@@ -5,7 +5,7 @@ import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
+import { launch, openPage, pixelsAt, ROOM, waitForMode } from '../support/browser.mjs';
 import { program, startServer } from '../support/program.mjs';
 import { skip } from '../support/skip.mjs';
 import { until } from '../support/until.mjs';
@@ -56,12 +56,16 @@ describe('streams', () => {
     return file;
   }
 
-  /** Encodes an H.264 film of one repeated picture, longer than a test takes. */
+  /** Encodes an H.264 film of one repeated picture, longer than a test takes: two seconds, which a raw stream repeats. */
   function film(name, { size = '320x240', filters = 'null', parameters = '', more = [], seconds = 60 }) {
     const file = join(folder, name);
-    const source = `testsrc2=size=${size}:rate=10:duration=0.1,loop=${seconds * 10}:1:0,setpts=N/10/TB,${filters}`;
+    const times = name.endsWith('.h264') ? Math.ceil(seconds / 2) : 1;
+    // whole groups of pictures
+    const repeats = (seconds / times) * 10 - 1;
+    const source = `testsrc2=size=${size}:rate=10:duration=0.1,loop=${repeats}:1:0,setpts=N/10/TB,${filters}`;
     const coder = ['-c:v', 'libx264', '-preset', 'veryfast', '-bf', '0', '-crf', '8', '-x264-params', `keyint=10:${parameters}`];
     ffmpeg(['-f', 'lavfi', '-i', source, ...coder, ...more, file]);
+    if (times > 1) writeFileSync(file, Buffer.concat(Array(times).fill(readFileSync(file))));
     return file;
   }
 
@@ -125,7 +129,7 @@ describe('streams', () => {
       const plain = options.filters ? {} : { filters: 'scale=out_color_matrix=bt709,format=yuv420p' };
       const file = film(`kind${at}.h264`, { ...plain, ...options });
       const publisher = publish(`kind${at}`, file);
-      const { page, context, errors } = await openPage(browser);
+      const { page, context, errors } = await openPage(browser, ROOM);
       await page.goto(`${server.url}/live/kind${at}`);
       const same = await pagePsnr(page, reference(file, reading));
       assert.ok(same > SAME_DB, `${same.toFixed(1)} dB; ${publisher.log}`);
@@ -143,7 +147,7 @@ describe('streams', () => {
       ['fields', film('fields.h264', { filters: 'format=yuv420p', parameters: 'interlaced=1' })],
     ]) {
       const publisher = publish(room, file);
-      const { page, context } = await openPage(browser);
+      const { page, context } = await openPage(browser, ROOM);
       await page.goto(`${server.url}/live/${room}`);
       const same = await pagePsnr(page, reference(file, 'in_color_matrix=bt601:'));
       assert.ok(same > TRANSCODED_DB, `${room}: ${same.toFixed(1)} dB; ${publisher.log}`);
@@ -155,11 +159,11 @@ describe('streams', () => {
   test('viewers follow a change of video size', async (t) => {
     if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
     const filters = 'scale=out_color_matrix=bt709,format=yuv420p';
-    const [wide, high] = [film('wide.h264', { filters, seconds: 30 }), film('high.h264', { size: '240x320', filters })];
+    const [wide, high] = [film('wide.h264', { filters, seconds: 40 }), film('high.h264', { size: '240x320', filters })];
     const both = join(folder, 'both.h264');
     writeFileSync(both, Buffer.concat([readFileSync(wide), readFileSync(high)]));
     const publisher = publish('turn', both, 20);
-    const { page, context, errors } = await openPage(browser);
+    const { page, context, errors } = await openPage(browser, ROOM);
     await page.goto(`${server.url}/live/turn`);
     await page.evaluate(() => {
       window.notReloaded = true;
@@ -224,10 +228,10 @@ describe('streams', () => {
     if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
     const good = accessUnits(film('good.h264', { filters: 'format=yuv420p', more: ['-profile:v', 'baseline'], seconds: 20 })).slice(0, 120);
     const bad = accessUnits(film('chroma.h264', { filters: 'format=yuv422p', seconds: 1 }));
-    const { page, context } = await openPage(browser);
+    const { page, context } = await openPage(browser, ROOM);
     await page.goto(`${server.url}/live/odd`);
     await page.getByText('Nobody is live here yet').waitFor();
-    const publisher = await openPage(browser);
+    const publisher = await openPage(browser, ROOM);
     await publisher.page.goto(`${server.url}/live/odd/publish`);
     const reason = await publishFrames(publisher.page, 'odd', [...good, ...bad]);
     assert.match(reason, /4:2:0/);
@@ -237,14 +241,15 @@ describe('streams', () => {
     await publisher.context.close();
   });
 
-  /** Replaces the video decoder in the room's worker; `script` is the body of decode(). */
+  /** Replaces the video decoder in the room's worker, where time runs three times as fast; `script` is the body of decode(). */
   const fakeDecoder = (page, script) =>
     page.addInitScript(
       (text) => {
         const { Worker: Plain } = window;
         window.Worker = class extends Plain {
           constructor(url) {
-            const start = `const early = []; self.onmessage = (event) => early.push(event); ${text};
+            const start = `const early = []; self.onmessage = (event) => early.push(event);
+            const now = performance.now.bind(performance); performance.now = () => 3 * now(); ${text};
             await import(${JSON.stringify(new URL(url, location.href).href)}); for (const event of early) self.onmessage(event);`;
             super(URL.createObjectURL(new Blob([start], { type: 'text/javascript' })), { type: 'module' });
           }
@@ -268,7 +273,7 @@ describe('streams', () => {
       if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
       const room = `mute-${kind.length}`;
       const publisher = publish(room, film(`${room}.h264`, { filters: 'format=yuv420p' }));
-      const { page, context } = await openPage(browser);
+      const { page, context } = await openPage(browser, ROOM);
       await fakeDecoder(page, script);
       await page.goto(`${server.url}/live/${room}`);
       await page.getByText('This browser cannot show the video of this room').waitFor();

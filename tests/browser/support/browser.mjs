@@ -2,8 +2,10 @@
 // starts; a file that runs alone starts its own.
 import { existsSync, readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
+import { join } from 'node:path';
 import { chromium } from 'playwright-core';
 import { POLL_MS, TIMEOUT_MS } from './until.mjs';
+import { writeFilm } from './video.mjs';
 
 const executablePath = process.env.CHROMIUM || '/usr/bin/chromium';
 const PLAIN = [
@@ -16,16 +18,18 @@ const PLAIN = [
   '--disable-sync',
 ];
 const NATIVE = process.env.TMPI_WEBGPU === 'native';
+// with Vulkan, Chromium paints pages on the GPU, too, which is slow in software: the processor paints them faster without
+const SOFTWARE = ['--use-vulkan=swiftshader', '--use-angle=swiftshader', '--disable-gpu-rasterization'];
 // without a display the driver has no surfaces, so disable them, else WebGPU falls back to software
 const WEBGPU = [
   '--enable-unsafe-webgpu',
   '--enable-features=Vulkan',
-  ...(NATIVE
-    ? ['--use-angle=vulkan', '--ignore-gpu-blocklist', '--disable-vulkan-surface']
-    : ['--use-vulkan=swiftshader', '--use-angle=swiftshader']),
+  ...(NATIVE ? ['--use-angle=vulkan', '--ignore-gpu-blocklist', '--disable-vulkan-surface'] : SOFTWARE),
 ];
 /** Environment variable with the address of the shared Chromium. */
 export const SHARED = 'TMPI_CHROMIUM_SERVER';
+/** Environment variable with the address of the shared Chromium that has a camera. */
+export const SHARED_CAMERA = 'TMPI_CAMERA_SERVER';
 /** Connections whose pages get no WebGPU although the shared browser has it. */
 const withoutWebGpu = new WeakSet();
 
@@ -39,6 +43,23 @@ function launchOptions({ webgpu = true, more = [] } = {}) {
 /** Starts the Chromium that test files share. */
 export const launchShared = () => chromium.launchServer(launchOptions());
 
+/** Launch options of a browser without WebGPU whose camera plays the film, which is written in `folder`. */
+const cameraOptions = (folder) => {
+  const film = join(folder, 'film.y4m');
+  writeFilm(film);
+  const more = ['--use-fake-device-for-media-stream', '--use-fake-ui-for-media-stream', `--use-file-for-fake-video-capture=${film}`];
+  return launchOptions({ webgpu: false, more });
+};
+
+/** Starts the Chromium with a camera that test files share. */
+export const launchSharedCamera = (folder) => chromium.launchServer(cameraOptions(folder));
+
+/** A browser with a camera: the shared one, or its own with a film in `folder`. */
+export async function launchCamera(folder) {
+  const address = process.env[SHARED_CAMERA];
+  return address ? chromium.connect(address) : chromium.launch(cameraOptions(folder));
+}
+
 /** A browser with or without WebGPU: the shared one, or its own with further arguments. */
 export async function launch({ webgpu = true, more = [] } = {}) {
   const address = process.env[SHARED];
@@ -51,7 +72,9 @@ export async function launch({ webgpu = true, more = [] } = {}) {
 /** Page options for idle motion. By default pages rest until the test moves the camera, because software rendering is slow. */
 export const MOTION = { reducedMotion: 'no-preference' };
 /** Size of a page without further options. */
-export const VIEWPORT = { width: 960, height: 600 };
+export const VIEWPORT = { width: 800, height: 500 };
+/** Page options for rooms: smaller, because rooms draw all the time. */
+export const ROOM = { viewport: { width: 700, height: 520 } };
 
 /** Opens a page; `errors` collects script and console errors. */
 export async function openPage(browser, more = {}) {
@@ -76,7 +99,7 @@ export async function seriousViolations(page) {
   // evaluate bypasses the page's script policy
   await page.evaluate(readFileSync(path, 'utf8'));
   return page.evaluate(async () => {
-    const { violations } = await window.axe.run();
+    const { violations } = await window.axe.run({ resultTypes: ['violations'] });
     const serious = violations.filter(({ impact }) => impact === 'serious' || impact === 'critical');
     return serious.flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.html}`));
   });
@@ -110,8 +133,8 @@ const TO_TEXT = `(data) => {
   return btoa(out);
 }`;
 
-/** Bytes that `script` returns in the page; `given`, its argument, must be valid JSON. */
-export async function evaluatePixels(page, script, given) {
+/** Bytes that `script` returns in the page, much faster than an array of numbers; `given`, its argument, must be valid JSON. */
+export async function evaluateBytes(page, script, given = null) {
   return fromText(await page.evaluate(`(${script})(${JSON.stringify(given)}).then(${TO_TEXT})`));
 }
 
@@ -122,7 +145,7 @@ export function pixelsAt(page, pose, width, height, selector = null) {
     viewer.setPose(pose);
     return viewer.readPixels(width, height);
   };
-  return evaluatePixels(page, script, { pose, width, height, selector });
+  return evaluateBytes(page, script, { pose, width, height, selector });
 }
 
 /** Pixels of a picture file, decoded by the browser; `file`: a URL or bytes, `size`: resizes the picture. */
@@ -139,7 +162,7 @@ export function filePixels(page, file, size = null) {
     return context.getImageData(0, 0, width, height).data;
   };
   const given = typeof file === 'string' ? { address: file } : { bytes: Buffer.from(file).toString('base64') };
-  return evaluatePixels(page, script, { ...given, size });
+  return evaluateBytes(page, script, { ...given, size });
 }
 
 /** Pixels of an image on the page, resized; rejects while it is not loaded. */
@@ -151,7 +174,7 @@ export function imagePixels(page, selector, width, height) {
     context.drawImage(bitmap, 0, 0);
     return context.getImageData(0, 0, width, height).data;
   };
-  return evaluatePixels(page, script, { selector, width, height });
+  return evaluateBytes(page, script, { selector, width, height });
 }
 
 /** Bytes of a downloaded file. */

@@ -22,6 +22,14 @@ const PAGES = { '/': 'app/upload-page.html', '/tmpi-viewer.js': 'element/tmpi-vi
 const POLICY =
   "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; media-src 'self' blob:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
 
+/** Views by size; each is made once. */
+const viewFiles = new Map();
+function viewOf(width, height) {
+  const size = `${width} ${height}`;
+  if (!viewFiles.has(size)) viewFiles.set(size, boxPhoto(width, height));
+  return viewFiles.get(size);
+}
+
 /** Errors of the box's tiles: 1 pixel in the last tile. */
 const TILE_PX = [0, 0, 0, 0, 0, 0, 0, 1];
 
@@ -93,7 +101,7 @@ export async function serve({ atlas, wasm = true }) {
     if (url.pathname === '/v1/photos/box/view') {
       views.push(url.search);
       await held.view;
-      return send(200, 'image/png', boxPhoto(Number(url.searchParams.get('w')), Number(url.searchParams.get('h'))));
+      return send(200, 'image/png', viewOf(Number(url.searchParams.get('w')), Number(url.searchParams.get('h'))));
     }
     const name =
       PAGES[url.pathname] ?? (url.pathname.startsWith('/view/') ? 'app/view-page.html' : url.pathname.replace(/^\/static\//, ''));

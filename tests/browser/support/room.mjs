@@ -3,9 +3,9 @@ import { mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before } from 'node:test';
-import { evaluatePixels, launch, openPage, pixelsAt } from './browser.mjs';
+import { evaluateBytes, launch, launchCamera, openPage, pixelsAt, ROOM } from './browser.mjs';
 import { startServer } from './program.mjs';
-import { FRAMES, frameNumber, HEIGHT, psnr, rgba, WIDTH, writeFilm } from './video.mjs';
+import { FRAMES, frameNumber, HEIGHT, psnr, rgba, WIDTH } from './video.mjs';
 
 /** PSNR in dB from which a picture equals its source except for compression. */
 export const SAME_DB = 32;
@@ -17,11 +17,12 @@ export function roomSuite(args = () => []) {
     camera: null,
     browser: null,
     folder: mkdtempSync(join(tmpdir(), 'tmpi-room-')),
-    /** Publishes in a room from its page; `prepare` runs before the page loads. */
-    async publish(room, { hash = '', options = {}, prepare = async () => {} } = {}) {
-      const opened = await openPage(suite.camera, { permissions: ['camera', 'microphone'], ...options });
+    /** Publishes in a room from its page; `prepare` runs before the page loads, `loaded` before it publishes. */
+    async publish(room, { hash = '', options = {}, prepare = async () => {}, loaded = async () => {} } = {}) {
+      const opened = await openPage(suite.camera, { ...ROOM, permissions: ['camera', 'microphone'], ...options });
       await prepare(opened.page);
       await opened.page.goto(`${suite.server.url}/live/${room}/publish${hash}`);
+      await loaded(opened.page);
       await opened.page.selectOption('#size', `${WIDTH}x${HEIGHT}`);
       await opened.page.locator('#go').click();
       await opened.page.waitForFunction(() => document.body.dataset.state === 'live');
@@ -29,19 +30,15 @@ export function roomSuite(args = () => []) {
     },
     /** Opens the viewer's page. */
     async watch(room, { hash = '', options = {}, prepare = async () => {} } = {}) {
-      const opened = await openPage(suite.browser, options);
+      const opened = await openPage(suite.browser, { ...ROOM, ...options });
       await prepare(opened.page);
       await opened.page.goto(`${suite.server.url}/live/${room}${hash}`);
       return opened;
     },
   };
   before(async () => {
-    const film = join(suite.folder, 'film.y4m');
-    writeFilm(film);
     suite.server = await startServer(args(suite.folder));
-    const fake = ['--use-fake-device-for-media-stream', '--use-fake-ui-for-media-stream', `--use-file-for-fake-video-capture=${film}`];
-    // its own browser, because the camera plays the film
-    suite.camera = await launch({ webgpu: false, more: fake });
+    suite.camera = await launchCamera(suite.folder);
     suite.browser = await launch();
   });
   after(async () => {
@@ -67,7 +64,7 @@ export function compareWithFilm(pixels) {
 /** Pixels of the flat video. */
 export function flatPixels(page) {
   const script = async ([w, h]) => window.viewer.canvas.getContext('2d').getImageData(0, 0, w, h).data;
-  return evaluatePixels(page, script, [WIDTH, HEIGHT]);
+  return evaluateBytes(page, script, [WIDTH, HEIGHT]);
 }
 
 /** Waits until the page has shown `count` more frames. */

@@ -21,6 +21,26 @@ export async function until(condition, details = () => '') {
   }
 }
 
+/**
+ * In the page: whether a viewer is still. It skips the rest of the slight enlargement that follows a move of the camera (`away` in
+ * static/input/camera-motion.js), which takes seconds longer than the move.
+ */
+const isStill = (viewer) => {
+  const { motion } = viewer;
+  const isOff = (axis) => Math.abs(motion.now[axis]) > 0.02 || Math.abs(motion.raw[axis]) > 0.02;
+  if (viewer.moving && !motion.idle && !motion.level) motion.away = ['x', 'y', 'z'].some(isOff) ? 1 : 0;
+  return !viewer.moving;
+};
+
+/**
+ * Waits until a viewer is still and `when`, which gets it and `given`, is true; `viewer`: an expression in the page.
+ * @param {import('playwright-core').Page} page
+ * @param {{viewer?: string, when?: (viewer: any, given: any) => boolean, given?: unknown, timeout?: number}} [options]
+ */
+export function waitForStill(page, { viewer = 'window.viewer', when = () => true, given = null, ...options } = {}) {
+  return page.waitForFunction(`((v) => (${isStill})(v) && (${when})(v, ${JSON.stringify(given)}))(${viewer})`, null, options);
+}
+
 /** Waits for `count` animation frames, so that pending changes are drawn. */
 export const waitForAnimationFrames = (page, count) =>
   page.evaluate(async (n) => {

@@ -45,8 +45,14 @@ export function writeFilm(file, times = 1) {
   writeFileSync(file, Buffer.concat([head, ...frames]));
 }
 
-/** RGBA of frame `n`: BT.709, limited range. */
+const decoded = new Map();
+/** RGBA of frame `n`, made once: BT.709, limited range. */
 export function rgba(n) {
+  if (!decoded.has(n)) decoded.set(n, converted(n));
+  return decoded.get(n);
+}
+
+function converted(n) {
   const film = planes(n);
   const out = new Uint8ClampedArray(WIDTH * HEIGHT * 4);
   const chroma = (WIDTH * HEIGHT) / 4;

@@ -1,6 +1,6 @@
 // Overlays and the stereo view.
 import assert from 'node:assert/strict';
-import { describe, test } from 'node:test';
+import { before, describe, test } from 'node:test';
 import { downloadBytes, filePixels, fractionDifferent, pixelsAt, waitForMode } from '../support/browser.mjs';
 import { BOX, inBox } from '../support/pictures.mjs';
 import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
@@ -9,12 +9,29 @@ const HOME = {};
 
 describe('draw mode', () => {
   const suite = boxSuite();
+  let page;
+  let errors;
+  before(async () => {
+    ({ page, errors } = await suite.open());
+    await waitForMode(page, 'gpu');
+  });
+
+  test('saves a picture of the current view', async () => {
+    const view = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
+    await page.getByRole('button', { name: 'Download' }).click();
+    const [download] = await Promise.all([page.waitForEvent('download'), page.locator('#picture').click()]);
+    assert.match(download.suggestedFilename(), /\.png$/);
+    const picture = await downloadBytes(download);
+    assert.deepEqual([picture.readUInt32BE(16), picture.readUInt32BE(20)], [WIDTH, HEIGHT]);
+    assert.equal(fractionDifferent(await filePixels(page, picture), view, WIDTH, HEIGHT, { levels: 1 }), 0);
+    await page.keyboard.press('Escape');
+  });
 
   test('the menu shows depth, tiles and planes', async () => {
-    const { page, context, errors } = await suite.open();
-    await waitForMode(page, 'gpu');
     const photo = await pixelsAt(page, HOME, WIDTH, HEIGHT);
     await page.locator('#show').click();
+    const headset = page.getByRole('button', { name: 'Look around in a headset' });
+    assert.equal(await headset.isVisible(), false, 'no button without a headset');
     const mean = (pixels, inside) => {
       let [sum, count] = [0, 0];
       for (let y = 0; y < HEIGHT; y++) {
@@ -41,19 +58,5 @@ describe('draw mode', () => {
     await page.getByLabel('The photo').check();
     assert.equal(fractionDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), photo, WIDTH, HEIGHT, { levels: 0 }), 0);
     assert.deepEqual(errors, []);
-    await context.close();
-  });
-
-  test('saves a picture of the current view', async () => {
-    const { page, context } = await suite.open();
-    await waitForMode(page, 'gpu');
-    const view = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
-    await page.getByRole('button', { name: 'Download' }).click();
-    const [download] = await Promise.all([page.waitForEvent('download'), page.locator('#picture').click()]);
-    assert.match(download.suggestedFilename(), /\.png$/);
-    const picture = await downloadBytes(download);
-    assert.deepEqual([picture.readUInt32BE(16), picture.readUInt32BE(20)], [WIDTH, HEIGHT]);
-    assert.equal(fractionDifferent(await filePixels(page, picture), view, WIDTH, HEIGHT, { levels: 1 }), 0);
-    await context.close();
   });
 });

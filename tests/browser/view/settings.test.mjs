@@ -3,6 +3,7 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, seriousViolations, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
+import { waitForStill } from '../support/until.mjs';
 
 describe('settings', () => {
   const suite = boxSuite();
@@ -24,7 +25,7 @@ describe('settings', () => {
     assert.equal(await page.evaluate(() => window.viewer.pivot), 0.6);
     await page.locator('#stage').focus();
     for (let i = 0; i < 20; i++) await page.keyboard.press('ArrowRight');
-    await page.waitForFunction(() => !window.viewer.moving);
+    await waitForStill(page);
     assert.ok((await page.evaluate(() => window.viewer.pose.tx)) <= 0.015);
     await page.locator('#settings').click();
     assert.deepEqual(await seriousViolations(page), []);

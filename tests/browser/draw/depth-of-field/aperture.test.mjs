@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { apertureAt } from '../../../../static/draw/depth-of-field/aperture.js';
-import { disableGraphics, openPage, pixelsAt, waitForMode } from '../../support/browser.mjs';
+import { disableGraphics, evaluateBytes, filePixels, openPage, pixelsAt, waitForMode } from '../../support/browser.mjs';
 import { BOX, inBox } from '../../support/pictures.mjs';
 import { boxSuite } from '../../support/suite.mjs';
 
@@ -23,20 +23,6 @@ function sharpness(pixels) {
     }
   }
   return sum / rows;
-}
-
-/** Pixels of a picture file, resized to the photo. */
-function decoded(page, bytes) {
-  return page.evaluate(
-    async ([file, w, h]) => {
-      const bitmap = await createImageBitmap(new Blob([new Uint8Array(file)]));
-      const context = new OffscreenCanvas(w, h).getContext('2d');
-      context.imageSmoothingQuality = 'high';
-      context.drawImage(bitmap, 0, 0, w, h);
-      return [...context.getImageData(0, 0, w, h).data];
-    },
-    [bytes, WIDTH, HEIGHT],
-  );
 }
 
 describe('depth of field', () => {
@@ -74,11 +60,11 @@ describe('depth of field', () => {
         // the pointer moved the camera
         await page.evaluate(() => window.viewer.setPose({}));
         await settled();
+        const decoded = (file) => filePixels(page, file, { width: WIDTH, height: HEIGHT });
         const saved = await decoded(
-          page,
-          await page.evaluate(async () => [...new Uint8Array(await (await window.viewer.picture()).arrayBuffer())]),
+          await evaluateBytes(page, async () => new Uint8Array(await (await window.viewer.picture()).arrayBuffer())),
         );
-        const shown = await decoded(page, [...(await page.locator('canvas.tmpi-canvas').screenshot())]);
+        const shown = await decoded(await page.locator('canvas.tmpi-canvas').screenshot());
         return { pixels: saved, off: saved.reduce((sum, v, i) => sum + Math.abs(v - shown[i]), 0) / saved.length };
       };
       const clickAt = async (x, y) => {

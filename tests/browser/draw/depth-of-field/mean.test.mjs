@@ -1,6 +1,6 @@
 // The mean of many pictures includes the last ones.
 import assert from 'node:assert/strict';
-import { describe, test } from 'node:test';
+import { before, describe, test } from 'node:test';
 import { openPage } from '../../support/browser.mjs';
 import { boxSuite } from '../../support/suite.mjs';
 
@@ -9,10 +9,14 @@ const LEVELS = [...Array(32).fill(153), ...Array(32).fill(155)];
 
 describe('mean of many pictures', () => {
   const suite = boxSuite();
+  let page;
+  let errors;
+  before(async () => {
+    ({ page, errors } = await openPage(suite.browser));
+    await page.goto(`${suite.server.url}/embed/blank`);
+  });
 
   test('is exact with WebGPU', async (t) => {
-    const { page, context, errors } = await openPage(suite.browser);
-    await page.goto(`${suite.server.url}/embed/blank`);
     const got = await page.evaluate(async (levels) => {
       const { acquireDevice } = await import('/static/draw/device.js');
       const { WebGpuMean } = await import('/static/draw/depth-of-field/mean-webgpu.js');
@@ -46,12 +50,9 @@ describe('mean of many pictures', () => {
     assert.ok(got.fine, 'the browser must blend 32-bit floats');
     assert.equal(got.level, 154);
     assert.deepEqual(errors, []);
-    await context.close();
   });
 
   test('is exact with WebGL2', async (t) => {
-    const { page, context, errors } = await openPage(suite.browser);
-    await page.goto(`${suite.server.url}/embed/blank`);
     const got = await page.evaluate(async (levels) => {
       const { WebGlMean } = await import('/static/draw/depth-of-field/mean-webgl.js');
       const { copier } = await import('/static/draw/webgl-copy.js');
@@ -77,6 +78,5 @@ describe('mean of many pictures', () => {
     assert.ok(got.fine, 'the browser must blend 32-bit floats');
     assert.deepEqual([got.level, got.error], [154, 0]);
     assert.deepEqual(errors, []);
-    await context.close();
   });
 });
