@@ -1,22 +1,14 @@
 //! Reads a user's own depth map.
 
-use image::{ColorType, ImageDecoder};
-use rayon::prelude::*;
-
+use super::grey::{ALIKE, Grey, grey, not_a_map};
 use super::{DepthError, DepthKind, Read, pfm};
-use tmpi_core::container::PhotoFormat;
 
-use crate::photo::{self, Head, Limits, PhotoError, png_metadata};
+use crate::photo::{self, Head, Limits};
 use tmpi_core::{DisparityMap, Photo};
 
-/// Range of neighbouring disparities above which they belong to two surfaces and are not mixed.
-const EDGE: f32 = 0.03;
 /// Share of metric values that may be nearer than δ = 1: a sensor's outliers must not push everything else to infinity.
 const OUTLIERS: f64 = 1e-3;
 
-/// Levels of 255 by which the channels of a grey picture may differ. Lossy formats store brightness and colour, each rounded and coded by
-/// itself, and programs save what they decode as PNG. A map in false colours differs by far more.
-const ALIKE: u16 = 8;
 /// Columns at the left of half a picture into which JPEG carries colours of the other half.
 const SEAM: usize = 17;
 /// Largest difference in aspect, as a share, at which a map fits its photo.
@@ -43,80 +35,6 @@ pub fn head(bytes: &[u8], limits: &Limits) -> Result<Head, DepthError> {
         return pfm::head(bytes, limits);
     }
     photo::head(bytes, limits).map_err(|e| not_a_map(&e))
-}
-
-fn not_a_map(error: &PhotoError) -> DepthError {
-    DepthError::Map(error.to_string())
-}
-
-/// An upright grey picture.
-pub(super) struct Grey {
-    pub width: u32,
-    pub height: u32,
-    /// Row by row: 0 to 1, but any float from a portable float map.
-    pub values: Vec<f32>,
-}
-
-/// Reads a picture that is grey or has nearly equal colour channels: PNG of 8 or 16 bits, JPEG, WebP. Ignores profiles and alpha.
-///
-/// # Errors
-/// [`DepthError::Map`] says what is wrong with the file.
-pub(super) fn grey(bytes: &[u8], limits: &Limits) -> Result<Grey, DepthError> {
-    check(bytes, limits)?;
-    if PhotoFormat::sniff(bytes) != Some(PhotoFormat::Png) {
-        let Photo { width, height, rgb } = photo::decode_values(bytes, limits).map_err(|e| not_a_map(&e))?;
-        return Ok(Grey { width, height, values: grey_values(rgb.as_flattened(), 3)? });
-    }
-    let bad = |e: &dyn std::fmt::Display| DepthError::Map(e.to_string());
-    let map = png_metadata::scan(bytes, limits).map_err(|e| not_a_map(&e))?;
-    let decoder = map.decoder().map_err(|e| bad(&e))?;
-    let (colour, pixels) = (decoder.color_type(), map.width as usize * map.height as usize);
-    let channels = usize::from(colour.channel_count());
-    let values = match colour {
-        ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8 => {
-            let mut samples = vec![0u8; pixels * channels];
-            decoder.read_image(&mut samples).map_err(|e| bad(&e))?;
-            grey_values(&samples, channels)
-        }
-        ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 => {
-            let mut samples = vec![0u16; pixels * channels];
-            decoder.read_image(bytemuck::cast_slice_mut(&mut samples)).map_err(|e| bad(&e))?;
-            grey_values(&samples, channels)
-        }
-        other => Err(DepthError::Map(format!("pixels of kind {other:?} are not supported"))),
-    }?;
-    let (values, (width, height)) = photo::upright_srgb::turned(values, (map.width, map.height), photo::orientation(bytes));
-    Ok(Grey { width, height, values })
-}
-
-/// Values 0 to 1 of pixels with this many channels; the last of two or four is alpha.
-fn grey_values<S: Sample>(samples: &[S], channels: usize) -> Result<Vec<f32>, DepthError> {
-    let value = |p: &[S]| {
-        let colours = if channels < 3 { [p[0]; 3] } else { [p[0], p[1], p[2]] }.map(Into::into);
-        let [r, g, b]: [u16; 3] = colours;
-        let most = S::MOST / 255 * ALIKE;
-        // the middle channel: brightness in lossy formats is mostly green
-        (r.abs_diff(g) <= most && b.abs_diff(g) <= most).then(|| f32::from(g) / f32::from(S::MOST))
-    };
-    samples
-        .par_chunks_exact(channels)
-        .map(value)
-        .collect::<Option<_>>()
-        .ok_or_else(|| DepthError::Map("it is in colour: a depth map must be grey or have three nearly equal channels".into()))
-}
-
-/// A sample of a map.
-trait Sample: Copy + Send + Sync + Into<u16> {
-    /// Largest sample.
-    const MOST: u16;
-}
-
-impl Sample for u8 {
-    const MOST: u16 = 255;
-}
-
-impl Sample for u16 {
-    const MOST: u16 = 65_535;
 }
 
 /// Reads a user's depth map at the photo's size `width × height`. Also returns the map's own size.
@@ -268,70 +186,6 @@ fn fill_unknown(z: &mut [f32], w: usize) {
         if let Some(nearest) = candidates.into_iter().flatten().min_by_key(|k| k.abs_diff(y)) {
             z.copy_within(nearest * w..(nearest + 1) * w, y * w);
         }
-    }
-}
-
-/// Resamples to another size. Enlarging is linear within a surface, and reducing takes the mean of what a sample covers. Where the source
-/// samples belong to two surfaces, takes the nearest one, or their median if there are more than two in a line.
-pub(super) fn resize(source: &[f32], (w, h): (usize, usize), (width, height): (u32, u32)) -> DisparityMap {
-    let (ratio_x, ratio_y) = (w as f64 / f64::from(width), h as f64 / f64::from(height));
-    let columns: Vec<Covered> = (0..width as usize).map(|x| Covered::new(x, ratio_x, w)).collect();
-    let mut delta = vec![0f32; width as usize * height as usize];
-    delta.par_chunks_exact_mut(width as usize).enumerate().for_each(|(y, row)| {
-        let rows = Covered::new(y, ratio_y, h);
-        let mut window = Vec::new();
-        for ((x, out), columns) in row.iter_mut().enumerate().zip(&columns) {
-            window.clear();
-            let mut mean = 0.0;
-            for (line, weight) in source.chunks_exact(w).skip(rows.first).zip(&rows.weights) {
-                let line = &line[columns.first..][..columns.weights.len()];
-                window.extend_from_slice(line);
-                mean += weight * line.iter().zip(&columns.weights).map(|(v, weight)| weight * f64::from(*v)).sum::<f64>();
-            }
-            let (lo, hi) = window.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |m, &v| (m.0.min(v), m.1.max(v)));
-            *out = if hi - lo <= EDGE {
-                // weights sum to 1 up to rounding
-                (mean as f32).max(lo).min(hi)
-            } else if ratio_x.max(ratio_y) <= 2.0 {
-                let near = |i: usize, ratio: f64, n: usize| (((i as f64 + 0.5) * ratio) as usize).min(n - 1);
-                source[near(y, ratio_y, h) * w + near(x, ratio_x, w)]
-            } else {
-                let middle = window.len() / 2;
-                *window.select_nth_unstable_by(middle, f32::total_cmp).1
-            };
-        }
-    });
-    DisparityMap { width, height, delta }
-}
-
-/// Resamples a map to another size without mixing across edges.
-pub fn resized(map: &DisparityMap, width: u32, height: u32) -> DisparityMap {
-    resize(&map.delta, (map.width as usize, map.height as usize), (width, height))
-}
-
-/// Source samples along one axis that make up a sample of the result.
-struct Covered {
-    first: usize,
-    /// Weights of the samples from `first` on; they sum to 1.
-    weights: Vec<f64>,
-}
-
-impl Covered {
-    /// Those of sample `i`, where `n` source samples are `ratio` times as many as the result has.
-    fn new(i: usize, ratio: f64, n: usize) -> Self {
-        if ratio <= 1.0 {
-            // between two
-            let at = ((i as f64 + 0.5) * ratio - 0.5).clamp(0.0, (n - 1) as f64);
-            let (first, share) = (at as usize, at.fract());
-            return Self { first, weights: if share > 0.0 { vec![1.0 - share, share] } else { vec![1.0] } };
-        }
-        let begin = i as f64 * ratio;
-        let end = (begin + ratio).min(n as f64);
-        // no slivers, which are rounding
-        let first = ((begin + 1e-9) as usize).min(n - 1);
-        let last = ((end - 1e-9) as usize).clamp(first, n - 1);
-        let share = |s: usize| (end.min((s + 1) as f64) - begin.max(s as f64)) / (end - begin);
-        Self { first, weights: (first..=last).map(share).collect() }
     }
 }
 

@@ -5,11 +5,13 @@ mod detect;
 mod embedded;
 
 mod given_map;
+mod grey;
 mod monocular;
 mod onnx_io;
 mod pfm;
 mod png_writer;
 pub mod points;
+mod resample;
 mod smooth;
 mod upsample;
 
@@ -19,9 +21,10 @@ pub(crate) use embedded::multi::second_picture;
 pub(crate) use embedded::xmp;
 pub use embedded::{EmbeddedDepth, embedded_depth};
 pub(crate) use given_map::fits;
-pub use given_map::{check, from_half, from_map, from_map_beside, head, resized};
+pub use given_map::{check, from_half, from_map, from_map_beside, head};
 pub use monocular::Monocular;
 pub use png_writer::to_png;
+pub use resample::resized;
 pub use upsample::{halved, upsample};
 
 use tmpi_core::{DisparityMap, Photo};
@@ -154,7 +157,7 @@ impl Read {
     /// Resamples the values of a map of size `(w, h)` to the size of the photo.
     fn new(delta: Vec<f32>, (w, h): (u32, u32), (width, height): (u32, u32)) -> Self {
         let own = DisparityMap { width: w, height: h, delta };
-        let (map, own) = if (w, h) == (width, height) { (own, None) } else { (given_map::resized(&own, width, height), Some(own)) };
+        let (map, own) = if (w, h) == (width, height) { (own, None) } else { (resample::resized(&own, width, height), Some(own)) };
         Self { map, size: (w, h), own, filled: None, clipped: None }
     }
 }

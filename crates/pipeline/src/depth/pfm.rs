@@ -1,7 +1,7 @@
 //! Portable float maps: 32-bit depth maps, as datasets and research code write them.
 
 use super::DepthError;
-use super::given_map::Grey;
+use super::grey::Grey;
 use crate::photo::{Head, Limits};
 
 /// Longest header: two long numbers, a scale, and spaces between them.

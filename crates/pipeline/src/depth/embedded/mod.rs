@@ -11,7 +11,7 @@ pub(crate) mod multi;
 mod tests;
 pub(crate) mod xmp;
 
-use super::given_map::{Grey, grey};
+use super::grey::{Grey, grey};
 use super::{DepthError, Read};
 use crate::photo::{self, Limits};
 
