@@ -45,6 +45,7 @@ mod second;
 mod signed_links;
 mod slow_uploads;
 mod sources;
+mod starts_and_crashes;
 mod strokes;
 mod tls;
 mod traces;
