@@ -20,6 +20,12 @@ def status_kib(pid, field):
     return 0
 
 
+def cpu(process):
+    """CPU seconds."""
+    text = open(f"/proc/{process.pid}/stat").read().rsplit(")", 1)[1].split()
+    return (int(text[11]) + int(text[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def children(pid):
     """Process ids of direct children."""
     found = []

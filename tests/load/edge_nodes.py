@@ -2,7 +2,8 @@
 interrupts viewers."""
 import os, shutil, subprocess, sys, tempfile, time
 from pathlib import Path
-from common import PROGRAM, Server, Table, check
+from common import PROGRAM, Server, Table, check, cpu
+from room_client import Readers, Viewer, publisher
 from services import Postgres, free_port, s3_server
 
 VIEWERS = 200
@@ -42,7 +43,6 @@ def edges(stream, full):
 
 def measure_cost(nodes, stream, seconds):
     """Measures CPU time and bytes for viewers at the origin, then for as many at an edge."""
-    from live import Readers, Viewer, cpu, publisher
     a, _, c = nodes
     table = Table("viewers", "at", "CPU of the origin", "CPU of the edge", "CPU per viewer and frame", "kB/s per viewer", "frames/s", "lost", "resident: origin, edge")
     publishing = publisher(a, "cost", stream)
@@ -70,7 +70,6 @@ def measure_cost(nodes, stream, seconds):
 
 def kill_origin(nodes, stream, n, table):
     """Kills the origin of a room with viewers at an edge; returns the longest time from the publisher's return until a viewer resumes."""
-    from live import Readers, Viewer
     a, b, c = nodes
     room, readers = f"killed{n}", Readers()
     addresses = ",".join(f"http://{s.address[0]}:{s.address[1]}/live/{room}" for s in (a, b))
