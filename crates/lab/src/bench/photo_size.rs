@@ -46,7 +46,9 @@ fn experiment(id: &str, title: &str, y: &'static str, sizes: &[Vec<Report>], val
                 ("bytes of memory per pixel", r.peak_rss_bytes as f64 / (mp * 1e6)),
                 ("planes per tile", r.planes_per_tile),
             ];
-            of_run.into_iter().for_each(|(name, value)| f.add_run(name, 0, value));
+            for (name, value) in of_run {
+                f.add_run(name, 0, value);
+            }
             r.stages.iter().for_each(|s| f.add_run(&format!("{}, ms", s.name), 0, s.ms));
         }
         f.point(format!("{}×{}", size.0, size.1), (MEGAPIXELS, y))
