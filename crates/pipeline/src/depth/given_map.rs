@@ -1,7 +1,7 @@
 //! Reads a user's own depth map.
 
 use super::grey::{ALIKE, Grey, grey, not_a_map};
-use super::{DepthError, DepthKind, Read, pfm};
+use super::{DepthError, DepthKind, Read, openexr, pfm};
 
 use crate::photo::{self, Head, Limits};
 use tmpi_core::{DisparityMap, Photo};
@@ -23,6 +23,9 @@ pub fn check(bytes: &[u8], limits: &Limits) -> Result<(u32, u32), DepthError> {
     if pfm::is_pfm(bytes) {
         return pfm::check(bytes, limits);
     }
+    if openexr::is_openexr(bytes) {
+        return openexr::check(bytes, limits);
+    }
     photo::check(bytes, limits).map(|(_, size)| size).map_err(|e| not_a_map(&e))
 }
 
@@ -34,14 +37,17 @@ pub fn head(bytes: &[u8], limits: &Limits) -> Result<Head, DepthError> {
     if pfm::is_pfm(bytes) {
         return pfm::head(bytes, limits);
     }
+    if openexr::is_openexr(bytes) {
+        return openexr::head(bytes, limits);
+    }
     photo::head(bytes, limits).map_err(|e| not_a_map(&e))
 }
 
 /// Reads a user's depth map at the photo's size `width × height`. Also returns the map's own size.
 ///
-/// The map is a portable float map or a picture within `limits` (PNG of 8 or 16 bits, JPEG, WebP) that is grey or has nearly equal colour
-/// channels. A map of another size is resampled without mixing across edges. Metric depth is scaled so that its nearest 0.1 % is at δ =
-/// 1; unknown metric values (0) take the farther known neighbour in the row.
+/// The map is a portable float map, an OpenEXR file, or a picture within `limits` (PNG of 8 or 16 bits, JPEG, WebP) that is grey or has
+/// nearly equal colour channels. A map of another size is resampled without mixing across edges. Metric depth is scaled so that its
+/// nearest 0.1 % is at δ = 1; unknown metric values (0) take the farther known neighbour in the row.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
@@ -61,7 +67,13 @@ pub fn from_map_beside(
     (width, height): (u32, u32),
     orientation: u8,
 ) -> Result<Read, DepthError> {
-    let Grey { width: w, height: h, values } = if pfm::is_pfm(bytes) { pfm::read(bytes, limits)? } else { grey(bytes, limits)? };
+    let Grey { width: w, height: h, values } = if pfm::is_pfm(bytes) {
+        pfm::read(bytes, limits)?
+    } else if openexr::is_openexr(bytes) {
+        openexr::read(bytes, limits)?
+    } else {
+        grey(bytes, limits)?
+    };
     let lies = orientation >= 5 && fits((w, h), (height, width)) && !fits((w, h), (width, height));
     let (values, size) = photo::upright_srgb::turned(values, (w, h), if lies { orientation } else { 1 });
     from_values(values, size, kind, (width, height))

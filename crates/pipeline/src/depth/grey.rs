@@ -21,7 +21,7 @@ pub(super) fn not_a_map(error: &PhotoError) -> DepthError {
 pub(super) struct Grey {
     pub width: u32,
     pub height: u32,
-    /// Row by row: 0 to 1, but any float from a portable float map.
+    /// Row by row: 0 to 1, but any float from a portable float map or an OpenEXR file.
     pub values: Vec<f32>,
 }
 

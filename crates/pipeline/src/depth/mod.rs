@@ -8,6 +8,7 @@ mod given_map;
 mod grey;
 mod monocular;
 mod onnx_io;
+mod openexr;
 mod pfm;
 mod png_writer;
 pub mod points;
