@@ -11,8 +11,8 @@ use super::files::extension;
 
 /// Extensions of the files in a folder that count as photos.
 const PHOTOS: [&str; 5] = ["jpg", "jpeg", "png", "webp", "mpo"];
-/// Extension of depth maps that are never photos.
-const MAP: &str = "pfm";
+/// Extensions of depth maps that are never photos.
+const MAPS: [&str; 2] = ["pfm", "exr"];
 /// Extensions of images that are not supported. The program reports how many it skips.
 const OTHERS: [&str; 9] = ["heic", "heif", "avif", "gif", "tif", "tiff", "bmp", "jxl", "dng"];
 const CONTAINER: &str = "tmpi";
@@ -91,7 +91,7 @@ fn found(folder: &Path, output: &Path) -> anyhow::Result<Batch> {
     let left = |(ending, n): (&String, &usize)| format!("{name}: {n} .{ending} left out, only JPEG, PNG, WebP and MPO are read");
     let mut all = Batch { left_out: others.iter().map(left).collect(), folder: true, ..Batch::default() };
     for (photo, depth) in pairs(photos) {
-        if extension(&photo) == MAP {
+        if MAPS.contains(&extension(&photo).as_str()) {
             all.left_out.push(format!("{}: left out, there is no photo of its name", photo.display()));
             continue;
         }
@@ -166,7 +166,7 @@ fn below(folder: &Path, others: &mut BTreeMap<String, usize>) -> anyhow::Result<
             continue;
         }
         let ending = extension(&path);
-        if (PHOTOS.contains(&ending.as_str()) || ending == MAP) && path.is_file() {
+        if (PHOTOS.contains(&ending.as_str()) || MAPS.contains(&ending.as_str())) && path.is_file() {
             photos.push(path);
         } else if OTHERS.contains(&ending.as_str()) {
             *others.entry(ending).or_default() += 1;
@@ -222,6 +222,8 @@ mod tests {
             "b.jpg",
             "b_depth.pfm",
             "alone.pfm",
+            "a_depth.exr",
+            "beauty.exr",
             "two.MPO",
             "a.JPEG",
             "same.png",
@@ -247,7 +249,7 @@ mod tests {
         ];
         assert_eq!(got, want.map(|(a, b)| (Path::new(a), Path::new(b))));
         let maps: Vec<_> = items.iter().filter_map(|i| i.depth.as_deref()).collect();
-        assert_eq!(maps, [root.join("b_depth.pfm").as_path()]);
+        assert_eq!(maps, [root.join("a_depth.exr").as_path(), root.join("b_depth.pfm").as_path()]);
         std::fs::create_dir(place.path().join("empty")).unwrap();
         assert!(Batch::of(&[place.path().join("empty")], &out).unwrap_err().to_string().contains("no JPEG"));
     }

@@ -22,7 +22,7 @@ use tmpi_pipeline::{self, Made, Models, Options, Stereo};
 #[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct MakeArgs {
     /// JPEG, PNG, WebP or MPO files, or folders of them with all folders below; there `photo_depth.png` (or -depth, `_depthmap`, `_disparity`, …; JPEG,
-    /// WebP or PFM, too) beside photo.jpg is that photo's depth map
+    /// WebP, PFM or OpenEXR, too) beside photo.jpg is that photo's depth map
     #[arg(required = true, value_name = "PHOTO|DIR")]
     pub photos: Vec<PathBuf>,
     /// Container to write; with several photos, or where it is a folder, the folder for them. Missing folders are made
@@ -40,7 +40,7 @@ pub(super) struct MakeArgs {
     /// Photos that are made side by side; each uses several cores already
     #[arg(short, long, value_parser = clap::value_parser!(u16).range(1..=256), default_value_t = 1, value_name = "N")]
     pub jobs: u16,
-    /// Depth map of the one photo, a grey PNG of 8 or 16 bits; in place of one that lies beside it
+    /// Depth map of the one photo, a grey PNG of 8 or 16 bits, PFM or OpenEXR; in place of one that lies beside it
     #[arg(long, value_name = "FILE")]
     depth: Option<PathBuf>,
     /// The same scene by the other eye, from beside the one photo: depth is measured against it

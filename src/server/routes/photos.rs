@@ -38,7 +38,8 @@ pub struct UploadForm {
     /// JPEG, PNG or WebP; recognised by its content.
     #[schema(value_type = String, format = Binary)]
     photo: Vec<u8>,
-    /// Depth map, a grey picture (PNG of 8 or 16 bits, JPEG, WebP; or in colour with channels that are alike); replaces the estimated depth.
+    /// Depth map, a grey picture (PNG of 8 or 16 bits, JPEG, WebP; or in colour with channels that are alike), PFM or OpenEXR; replaces the
+    /// estimated depth.
     #[schema(value_type = Option<String>, format = Binary)]
     depth: Option<Vec<u8>>,
     /// The same scene by the other eye, from beside the photo (JPEG, PNG, WebP): depth is measured against it. It comes in place of a depth map.
