@@ -94,19 +94,19 @@ const MAX_PROFILE: usize = 4 << 20;
 pub fn decode(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Decoded, PhotoError> {
     limits.check_bytes(bytes.len())?;
     let format = sniff(bytes)?;
-    guarded(PhotoError::Broken, || read(bytes, format, limits, max_size, Samples::Colours).map(|raw| finish(raw, format, max_size)))
+    guarded(|| read(bytes, format, limits, max_size, Samples::Colours).map(|raw| finish(raw, format, max_size)))
 }
 
 /// Decodes a picture whose samples are values, not colours: profiles and alpha are ignored. The result is upright.
 pub(crate) fn decode_values(bytes: &[u8], limits: &Limits) -> Result<Photo, PhotoError> {
     limits.check_bytes(bytes.len())?;
     let format = sniff(bytes)?;
-    guarded(PhotoError::Broken, || read(bytes, format, limits, None, Samples::Values).map(|raw| finish(raw, format, None).photo))
+    guarded(|| read(bytes, format, limits, None, Samples::Values).map(|raw| finish(raw, format, None).photo))
 }
 
-/// Turns a decoder's panic into the error `broken`: its bug must not take the process down.
-pub(crate) fn guarded<T, E>(broken: impl FnOnce(String) -> E, decode: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
-    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err(broken("the decoder failed on this file".into())))
+/// Turns a decoder's panic into an error: its bug must not take the process down.
+pub(crate) fn guarded<T>(decode: impl FnOnce() -> Result<T, PhotoError>) -> Result<T, PhotoError> {
+    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err(PhotoError::Broken("the decoder failed on this file".into())))
 }
 
 /// What the samples of a picture stand for.
