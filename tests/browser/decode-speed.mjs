@@ -72,7 +72,9 @@ async function decodeTimes(address, files) {
     console.log(`  ${TIMES.map((key) => `${key} ${range(times(key))}`).join(', ')}`);
     const native = nativeMs(name);
     if (native)
-      console.log(`  native, one thread ${native.toFixed(1)} ms; warm wasm takes ${(median(times('warm')) / native).toFixed(2)} times that`);
+      console.log(
+        `  native, one thread ${native.toFixed(1)} ms; warm wasm takes ${(median(times('warm')) / native).toFixed(2)} times that`,
+      );
     console.log(`  memory ${Math.max(...times('memory')).toFixed(1)} MiB per megapixel`);
   }
 }

@@ -223,7 +223,7 @@ mod tests {
         }
     }
 
-    /// Files that another program wrote, and that FFmpeg reads, too: floats beside colours in halves, and the second of two parts.
+    /// Files that another program wrote, and that ffmpeg reads, too: floats beside colours in halves, and the second of two parts.
     #[test]
     fn files_of_another_writer_are_read() {
         let zip = values(include_bytes!("../../../../fuzz/seeds/depth/zip.exr"));
