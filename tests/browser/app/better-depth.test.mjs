@@ -26,7 +26,7 @@ describe('better depth', () => {
     await waitForMode(page, 'gpu');
     const requests = [];
     const counts = { photos: 0 };
-    const report = { depth_model: model, stages: [{ name: 'depth', ms: 90 }], error: { tile_px: [] } };
+    const report = { depth_model: model, stages: [{ name: 'depth', ms: 90 }], input: {}, error: { tile_px: [] } };
     // the server sends better_depth to users who may make the photo again
     await page.route('**/v1/photos/box', (route) => {
       const known = states[0].better_than ? states[0] : { name, better_than: WORSE };

@@ -61,7 +61,7 @@ describe('motion', () => {
     // input takes time to reach the page, so wait for its effect
     const waitForPose = async (what, key, least, most) => {
       const isThere = ({ pose }, [k, from, to]) => pose[k] >= from && pose[k] <= to;
-      await waitForStill(page, { when: isThere, given: [key, least, most], timeout: 10_000 }).catch(async () => {
+      await waitForStill(page, { when: isThere, given: [key, least, most] }).catch(async () => {
         assert.fail(`${what}: ${JSON.stringify(await page.evaluate(() => window.viewer.pose))}`);
       });
     };

@@ -30,8 +30,8 @@ function viewOf(width, height) {
   return viewFiles.get(size);
 }
 
-/** Errors of the box's tiles: 1 pixel in the last tile. */
-const TILE_PX = [0, 0, 0, 0, 0, 0, 0, 1];
+/** How the box was made; its last tile has an error of 1 pixel. */
+const REPORT = { depth_model: 'given', stages: [], input: {}, error: { tile_px: [0, 0, 0, 0, 0, 0, 0, 1] } };
 
 /**
  * @param {{atlas: Buffer, wasm?: boolean}} photo `wasm`: whether the page's content security policy allows WebAssembly
@@ -87,7 +87,7 @@ export async function serve({ atlas, wasm = true }) {
     if (url.pathname === '/v1/photos/box/settings') return send(200, 'application/json', JSON.stringify(state.settings ?? {}));
     if (url.pathname === '/v1/photos/box/strokes') return send(200, 'application/json', JSON.stringify({ version: 1, strokes: [] }));
     if (url.pathname === '/v1/photos/box/depth') return send(200, 'image/png', boxDepth(200, 120));
-    if (url.pathname === '/v1/photos/box/report') return send(200, 'application/json', JSON.stringify({ error: { tile_px: TILE_PX } }));
+    if (url.pathname === '/v1/photos/box/report') return send(200, 'application/json', JSON.stringify(REPORT));
     if (url.pathname === '/v1/photos/box/atlas') return sendAtlas(response, atlas, held);
     if (url.pathname === '/embed/blank')
       return send(200, TYPES['.html'], '<!doctype html><title>blank</title><link rel="icon" href="data:,">');

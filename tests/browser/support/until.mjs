@@ -35,10 +35,11 @@ const isStill = (viewer) => {
 /**
  * Waits until a viewer is still and `when`, which gets it and `given`, is true; `viewer`: an expression in the page.
  * @param {import('playwright-core').Page} page
- * @param {{viewer?: string, when?: (viewer: any, given: any) => boolean, given?: unknown, timeout?: number}} [options]
+ * @param {{viewer?: string, when?: (viewer: any, given: any) => boolean, given?: unknown}} [options]
  */
-export function waitForStill(page, { viewer = 'window.viewer', when = () => true, given = null, ...options } = {}) {
-  return page.waitForFunction(`((v) => (${isStill})(v) && (${when})(v, ${JSON.stringify(given)}))(${viewer})`, null, options);
+export function waitForStill(page, { viewer = 'window.viewer', when = () => true, given = null } = {}) {
+  // evaluated, because the page's script policy forbids functions of text
+  return until(() => page.evaluate(`((v) => (${isStill})(v) && (${when})(v, ${JSON.stringify(given)}))(${viewer})`));
 }
 
 /** Waits for `count` animation frames, so that pending changes are drawn. */
