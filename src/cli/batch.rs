@@ -6,13 +6,11 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use super::Usage;
-use super::depth_pairs::pairs;
+use super::depth_pairs::{MAPS, pairs};
 use super::files::extension;
 
 /// Extensions of the files in a folder that count as photos.
 const PHOTOS: [&str; 5] = ["jpg", "jpeg", "png", "webp", "mpo"];
-/// Extensions of depth maps that are never photos.
-const MAPS: [&str; 2] = ["pfm", "exr"];
 /// Extensions of images that are not supported. The program reports how many it skips.
 const OTHERS: [&str; 9] = ["heic", "heif", "avif", "gif", "tif", "tiff", "bmp", "jxl", "dng"];
 const CONTAINER: &str = "tmpi";

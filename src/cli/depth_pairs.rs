@@ -3,8 +3,12 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
+use super::files::extension;
+
 /// Suffixes of a depth map's name, after a separator and without the extension.
 const ENDS: [&str; 10] = ["depth", "depth-", "depth_", "depth ", "depthmap", "depth-map", "depth_map", "depth map", "disparity", "disp"];
+/// Extensions of depth maps that are never photos.
+pub(super) const MAPS: [&str; 2] = ["pfm", "exr"];
 const SEPARATORS: [char; 4] = ['-', '_', '.', ' '];
 
 /// The file name without its last extension, in lower case.
@@ -25,15 +29,16 @@ fn photo_of(map: &str) -> Option<&str> {
 }
 
 /// Each photo with its map, in the order of the photos. A map belongs to the first photo of that name in its folder. If a photo has several
-/// maps, the first is used and the others are dropped. A map without a photo counts as a photo.
+/// maps, the first is used, pictures before [`MAPS`], and the others are dropped. A map without a photo counts as a photo.
 pub(super) fn pairs(files: Vec<PathBuf>) -> Vec<(PathBuf, Option<PathBuf>)> {
     let mut named: HashMap<(PathBuf, String), usize> = HashMap::new();
     let folder = |file: &Path| file.parent().unwrap_or(Path::new("")).to_owned();
-    for (i, file) in files.iter().enumerate() {
-        named.entry((folder(file), stem(file))).or_insert(i);
+    let (never_photos, pictures): (Vec<_>, Vec<_>) = files.iter().enumerate().partition(|(_, file)| MAPS.contains(&&*extension(file)));
+    for (i, file) in &pictures {
+        named.entry((folder(file), stem(file))).or_insert(*i);
     }
     let (mut maps, mut depths) = (HashSet::new(), HashMap::new());
-    for (i, file) in files.iter().enumerate() {
+    for (i, file) in pictures.into_iter().chain(never_photos) {
         let stem = stem(file);
         let photo = photo_of(&stem).and_then(|photo| named.get(&(folder(file), photo.to_owned())));
         if let Some(photo) = photo {
@@ -73,6 +78,10 @@ mod tests {
         for file in ["depth.png", "in-depth.jpg", "_depth.png", "adepth.png", "b_depths.png"] {
             assert_eq!(named(&[file, "a.jpg"]), wanted(&[(file, None), ("a.jpg", None)]), "{file}");
         }
+        // a rendered picture beside its file of passes
+        let render = named(&["render.exr", "render.png", "render_depth.exr"]);
+        assert_eq!(render, wanted(&[("render.exr", None), ("render.png", Some("render_depth.exr"))]));
+        assert_eq!(named(&["a.jpg", "a_depth.exr", "a_depth.png"]), wanted(&[("a.jpg", Some("a_depth.png"))]));
         // a second map of a photo does not count as a photo
         assert_eq!(named(&["a.jpg", "a_depth.png", "a-depth.png"]), wanted(&[("a.jpg", Some("a_depth.png"))]));
     }

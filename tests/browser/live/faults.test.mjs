@@ -57,8 +57,7 @@ const recordSockets = (page) =>
 
 describe('faults in a room', () => {
   const suite = roomSuite();
-  const waitForState = (page, wanted, timeout = 20_000) =>
-    page.waitForFunction((s) => document.body.dataset.state === s, wanted, { timeout });
+  const waitForState = (page, wanted) => page.waitForFunction((s) => document.body.dataset.state === s, wanted);
 
   test('the video is flat until tiles arrive', async () => {
     const publisher = await suite.publish('attic');

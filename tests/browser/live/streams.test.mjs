@@ -162,12 +162,13 @@ describe('streams', () => {
     const [wide, high] = [film('wide.h264', { filters, seconds: 40 }), film('high.h264', { size: '240x320', filters })];
     const both = join(folder, 'both.h264');
     writeFileSync(both, Buffer.concat([readFileSync(wide), readFileSync(high)]));
-    const publisher = publish('turn', both, 20);
     const { page, context, errors } = await openPage(browser, ROOM);
     await page.goto(`${server.url}/live/turn`);
+    await page.getByText('Nobody is live here yet').waitFor();
     await page.evaluate(() => {
       window.notReloaded = true;
     });
+    const publisher = publish('turn', both, 20);
     for (const file of [wide, high]) {
       const same = await pagePsnr(page, reference(file, 'in_color_matrix=bt709:'));
       assert.ok(same > SAME_DB, `${file}: ${same.toFixed(1)} dB; ${publisher.log}`);

@@ -148,16 +148,17 @@ fn from_disparity(mut values: Vec<f32>, w: usize, is_inverted: bool) -> Result<(
     Ok((values, unknown))
 }
 
-/// `δ = z_near / z`, at most 1, where `z_near` is the nearest depth apart from [`OUTLIERS`]. An unknown value (0) takes the farther of
-/// its known neighbours in the row, and a row of unknown values the nearest known row.
+/// `δ = z_near / z`, at most 1, where `z_near` is the nearest depth apart from [`OUTLIERS`]; infinity is 0. An unknown value (0) takes the
+/// farther of its known neighbours in the row, and a row of unknown values the nearest known row.
 fn from_metric(mut z: Vec<f32>, w: usize) -> Result<Metric, DepthError> {
-    let mut sorted: Vec<f32> = z.iter().copied().filter(|&v| v > 0.0).collect();
+    let mut sorted: Vec<f32> = z.iter().copied().filter(|v| *v > 0.0 && v.is_finite()).collect();
     if sorted.is_empty() {
-        return Err(DepthError::Map("it has no known depth: every value is 0".into()));
+        return Err(DepthError::Map("it has no known depth: no value is a distance above 0".into()));
     }
     let rank = (sorted.len() as f64 * OUTLIERS) as usize;
     let near = *sorted.select_nth_unstable_by(rank, f32::total_cmp).1;
-    let (unknown, clipped) = (z.len() - sorted.len(), sorted.iter().filter(|v| **v < near).count());
+    let known = z.iter().filter(|v| **v > 0.0).count();
+    let (unknown, clipped) = (z.len() - known, sorted.iter().filter(|v| **v < near).count());
     for v in &mut z {
         *v = if *v > 0.0 { (near / *v).min(1.0) } else { f32::NAN };
     }
@@ -246,6 +247,16 @@ mod tests {
             assert!((got - want).abs() < 1e-6, "{got:?}");
         }
         assert!(from_map(&wide(3, 3, |_, _| 0), DepthKind::Metric, 3, 3).unwrap_err().to_string().contains("no known depth"));
+    }
+
+    #[test]
+    fn a_small_thing_before_infinity_is_near() {
+        // fewer finite distances than outliers may be left out
+        let z = (0..10_000).map(|i| if i < 5 { 2.0 } else { f32::INFINITY }).collect();
+        let got = from_metric(z, 100).unwrap();
+        assert!(got.delta.iter().enumerate().all(|(i, d)| (d - if i < 5 { 1.0 } else { 0.0 }).abs() < 1e-6));
+        assert_eq!((got.unknown, got.clipped), (0, 0));
+        assert!(from_metric(vec![f32::INFINITY; 4], 2).is_err());
     }
 
     #[test]

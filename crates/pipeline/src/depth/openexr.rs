@@ -17,8 +17,10 @@ use super::DepthError;
 use super::grey::{Grey, not_a_map};
 use crate::photo::{self, Head, Limits, PhotoError};
 
-/// Most bytes of all headers, which take ten times as much memory. Renderers' lists of masks take some 100 kB.
-const HEADERS: usize = 4 << 20;
+/// Most bytes of all headers, which take up to 64 times as much memory. Renderers' lists of masks take some 100 kB.
+const HEADERS: usize = 512 << 10;
+/// Most blocks of pixels that are packed by PIZ, each of which takes a millisecond to read, however small it is.
+const PIZ_BLOCKS: usize = 1 << 15;
 
 /// Whether a file is an OpenEXR picture.
 pub(super) fn is_openexr(bytes: &[u8]) -> bool {
@@ -80,9 +82,7 @@ impl Depth {
         };
         let (part, channel) = choose(&meta.headers)?;
         let header = &meta.headers[part];
-        if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_) | Compression::HTJ2K32 | Compression::HTJ2K256) {
-            return Err(PhotoError::Broken(format!("the OpenEXR file has {}, which is not read: save it with ZIP", header.compression)));
-        }
+        check_packing(header)?;
         let (stored, shown) = (header.layer_size, header.shared_attributes.display_window.size);
         for Vec2(width, height) in [shown, stored] {
             limits.check_size(width as u32, height as u32)?;
@@ -128,6 +128,19 @@ impl Depth {
             }
         }
         Ok(values)
+    }
+}
+
+/// Refuses packed pixels that would take much time or memory to unpack.
+fn check_packing(header: &Header) -> Result<(), PhotoError> {
+    match header.compression {
+        Compression::PIZ if header.chunk_count > PIZ_BLOCKS => {
+            let count = header.chunk_count;
+            Err(PhotoError::Broken(format!("the OpenEXR file has {count} blocks of PIZ, over the limit of {PIZ_BLOCKS}")))
+        }
+        Compression::Uncompressed | Compression::ZIP1 | Compression::ZIP16 | Compression::PIZ | Compression::PXR24 => Ok(()),
+        // the decoder unpacks run lengths (RLE) without a bound
+        other => Err(PhotoError::Broken(format!("the OpenEXR file has {other}, which is not read: save it with ZIP"))),
     }
 }
 
@@ -181,7 +194,8 @@ mod tests {
     use exr::image::write::WritableImage;
     use exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer, Levels};
     use exr::math::RoundingMode;
-    use exr::meta::attribute::{IntegerBounds, LineOrder};
+    use exr::meta::BlockDescription;
+    use exr::meta::attribute::{IntegerBounds, LevelMode, LineOrder, TileDescription};
     use exr::meta::header::{ImageAttributes, LayerAttributes};
 
     use super::*;
@@ -210,11 +224,11 @@ mod tests {
 
     #[test]
     fn all_kinds_of_files_hold_the_same_values() {
-        use Compression::{PIZ, PXR24, RLE, Uncompressed, ZIP1, ZIP16};
+        use Compression::{PIZ, PXR24, Uncompressed, ZIP1, ZIP16};
         let want = floats();
         let halves = FlatSamples::F16(want.iter().copied().map(f16::from_f32).collect());
         let whole = FlatSamples::U32(want.iter().map(|v| *v as u32).collect());
-        for packed in [Uncompressed, RLE, ZIP1, ZIP16, PIZ, PXR24] {
+        for packed in [Uncompressed, ZIP1, ZIP16, PIZ, PXR24] {
             for blocks in [Blocks::ScanLines, TILES, Blocks::Tiles(Vec2(64, 64))] {
                 for samples in [FlatSamples::F32(want.clone()), halves.clone(), whole.clone()] {
                     assert_eq!(values(&file((0, 0), packed, blocks, &samples)), want, "{packed:?} {blocks:?}");
@@ -274,10 +288,23 @@ mod tests {
         let level = |side: usize, value: f32| FlatSamples::F32(vec![value; side * side]);
         let levels = Levels::Mip { rounding_mode: RoundingMode::Down, level_data: vec![level(4, 1.0), level(2, 2.0), level(1, 3.0)] };
         let channels = AnyChannels::sort([AnyChannel::new("Z", levels)].into_iter().collect());
-        let encoding = Encoding { compression: Compression::RLE, blocks: Blocks::Tiles(Vec2(2, 2)), line_order: LineOrder::Increasing };
+        let encoding = Encoding { compression: Compression::ZIP1, blocks: Blocks::Tiles(Vec2(2, 2)), line_order: LineOrder::Increasing };
         let mut bytes = Cursor::new(Vec::new());
         Image::from_encoded_channels(Vec2(4, 4), encoding, channels).write().to_buffered(&mut bytes).unwrap();
         assert_eq!(values(&bytes.into_inner()), [1.0; 16]);
+    }
+
+    #[test]
+    fn files_that_would_take_much_to_unpack_are_refused() {
+        let checked = |compression, side| {
+            let channels = [ChannelDescription::named("Z", SampleType::F32)].into_iter().collect();
+            let tiles = TileDescription { tile_size: Vec2(1, 1), level_mode: LevelMode::Singular, rounding_mode: RoundingMode::Down };
+            let header = Header::new("".into(), (side, 1), channels);
+            check_packing(&header.with_encoding(compression, BlockDescription::Tiles(tiles), LineOrder::Increasing))
+        };
+        assert!(checked(Compression::PIZ, PIZ_BLOCKS).is_ok() && checked(Compression::ZIP1, PIZ_BLOCKS + 1).is_ok());
+        assert!(checked(Compression::PIZ, PIZ_BLOCKS + 1).unwrap_err().to_string().contains("over the limit of 32768"));
+        assert!(checked(Compression::RLE, 1).unwrap_err().to_string().contains("save it with ZIP"));
     }
 
     #[test]
