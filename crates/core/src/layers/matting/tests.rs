@@ -104,7 +104,8 @@ proptest! {
         let colour = std::array::from_fn(mix);
         let apart = (0..3).map(|c| f64::from(near[c].abs_diff(far[c])).powi(2)).sum::<f64>().sqrt();
         let Some(got) = Matte::of(colour, &side(&[(near, 3)]), &side(&[(far, 5)])) else {
-            prop_assert!(apart < 24.5);
+            // too near to each other, or so little of the near one that it is rounded away
+            prop_assert!(apart < 24.5 || colour == far);
             return Ok(());
         };
         // the colour was rounded
