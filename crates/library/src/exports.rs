@@ -80,7 +80,8 @@ impl Library {
             }
             // a concurrent order was faster
             Err(LibraryError::NotReady) => {
-                drop(tx);
+                // awaited, so that no worker passes over the job because this still locks it
+                tx.rollback().await;
                 Ok(OrderedExport { job: self.job(order.kind, photo.id, Some(order.key)).await?, new: false })
             }
             Err(error) => {
