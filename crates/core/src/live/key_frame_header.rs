@@ -116,3 +116,17 @@ fn vp9(data: &[u8]) -> Result<Option<KeyFrame>, KeyFrameError> {
     let colour = Colour::signalled(matrix, colour & 16 != 0);
     Ok(Some(KeyFrame { width, height, left: 0, top: 0, coded: (width, height), colour }))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_frame_of_8_bits_tells_its_size() {
+        // sequence parameters of baseline profile, 8 × 6 macroblocks
+        let unit = [0, 0, 0, 1, 0x67, 0x42, 0x00, 0x0a, 0xf8, 0x41, 0xa2];
+        let key = key_frame("avc1.42000a", &unit).unwrap().unwrap();
+        assert_eq!((key.width, key.height, key.coded, key.left, key.top), (128, 96, (128, 96), 0, 0));
+        assert_eq!(key_frame("avc1.42000a", &[0, 0, 0, 1, 0x41, 0x9a]), Ok(None));
+    }
+}

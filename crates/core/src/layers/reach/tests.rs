@@ -172,7 +172,12 @@ fn cameras_that_move_forward_see_no_gaps() {
 fn a_photo_of_4000_pixels_has_no_gaps_in_the_box_of_the_options() {
     let slab = Screen::slab((4000, 180), [0.05, 1.0], ViewBox { x: 0.12, y: 0.0, z: 0.06 });
     assert!(slab.geometry.searches_blocks() && slab.geometry.tiles_beyond_reach() == 0);
-    assert_eq!(slab.wrong(&slab.geometry.masks()), (0, 0));
+    let (all, kept) = (slab.geometry.masks_unpruned(), slab.geometry.masks());
+    assert_eq!(slab.wrong(&kept), (0, 0));
+    let hidden = |m: &LayerMasks| m.layers.iter().flat_map(|l| &l.class).filter(|c| **c == Class::Hidden as u8).count();
+    for (all, kept) in all.iter().zip(&kept) {
+        assert_eq!(kept.never_seen, hidden(all) - hidden(kept));
+    }
     // pruned for a third of the box, it has gaps
     let narrow = Geometry { view_box: ViewBox { x: 0.04, y: 0.0, z: 0.02 }, ..slab.geometry.clone() };
     assert!(slab.wrong(&narrow.masks()).0 > 10_000);
