@@ -97,7 +97,12 @@ fn authority<B>(request: &Request<B>) -> Result<Authority, Problem> {
 
 /// A host and perhaps a port, without a user.
 fn host_of(value: &HeaderValue) -> Option<Authority> {
-    value.to_str().ok()?.parse().ok().filter(|a: &Authority| !a.as_str().contains('@') && !a.host().is_empty())
+    let authority: Authority = value.to_str().ok()?.parse().ok()?;
+    let host = authority.host();
+    // the parser also takes brackets within a name
+    let name = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
+    let is_host = !authority.as_str().contains('@') && !name.is_empty() && !name.contains(['[', ']']);
+    is_host.then_some(authority)
 }
 
 /// Lower case, without the trailing dot.
@@ -141,7 +146,7 @@ mod tests {
         for foreign in ["evil.example", "192.168.1.5", "localhost.evil.example", "photos.example.evil", "127.0.0.1.evil.example"] {
             assert_eq!(status(&loopback, "/", &[foreign]), 421, "{foreign}");
         }
-        for wrong in [&[][..], &["localhost", "localhost"], &["a b"], &["user@localhost"], &[""], &[":80"]] {
+        for wrong in [&[][..], &["localhost", "localhost"], &["a b"], &["user@localhost"], &[""], &[":80"], &["8m[l1::981]l:."], &["[]"]] {
             assert_eq!(status(&loopback, "/", wrong), 400, "{wrong:?}");
         }
         assert_eq!(status(&loopback, "http://evil.example/", &["localhost"]), 421);
