@@ -83,7 +83,7 @@ pub(super) struct MakeFlags {
     /// measured on this machine (the file in `TMPI_COSTS`)
     #[arg(long, value_parser = budget_ms, value_name = "MS")]
     pub budget_ms: Option<f64>,
-    /// Measure how pruning invisible texels changes the views from the corners of the view box; takes about as long as making
+    /// Measure how pruning invisible texels changes the views from the corners of the view box; takes about half as long as making
     #[arg(long)]
     pub verify_prune: bool,
     /// JSON file of strokes that correct the photo's depth, as returned by the server's /v1/photos/ID/strokes

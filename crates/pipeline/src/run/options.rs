@@ -94,7 +94,7 @@ pub struct Options {
     pub view_box: ViewBox,
     /// Time budget for making, in milliseconds of wall time, 1 to 10 000 000; it chooses the photo's size and the parallax error.
     pub budget_ms: Option<f64>,
-    /// Whether to measure how pruning unseen texels changes views; takes about as long as making.
+    /// Whether to measure how pruning unseen texels changes views; takes about half as long as making.
     pub verify_prune: bool,
     /// Strokes that correct the disparity map.
     pub strokes: Vec<Stroke>,
