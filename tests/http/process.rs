@@ -29,7 +29,7 @@ impl Process {
     pub fn start_at(port: u16, data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
         // a file, because a full pipe would block the server
         let log = tempfile::NamedTempFile::new().unwrap();
-        let mut child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
+        let child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
             .args(["serve", "--addr", &format!("127.0.0.1:{port}"), "--depth-model", "tmpi"])
             .args(arguments)
             .arg("--data")
@@ -39,6 +39,11 @@ impl Process {
             .stderr(log.reopen().unwrap())
             .spawn()
             .unwrap();
+        Self::listening(child, log)
+    }
+
+    /// A process that writes its address and then its log.
+    pub fn listening(mut child: Child, log: tempfile::NamedTempFile) -> Self {
         let mut line = String::new();
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
         let addr = line.trim().strip_prefix("http://").and_then(|a| a.parse().ok());

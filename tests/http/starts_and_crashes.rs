@@ -2,8 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::io::Write;
-#[cfg(unix)]
-use std::io::{BufRead, BufReader};
 use std::process::Command;
 #[cfg(unix)]
 use std::process::Stdio;
@@ -150,16 +148,14 @@ fn a_low_limit_of_open_files_is_raised_to_the_hard_limit() {
     let dir = tempfile::tempdir().unwrap();
     let log = tempfile::NamedTempFile::new().unwrap();
     let script = "ulimit -Sn 64 && exec \"$0\" serve --addr 127.0.0.1:0 --data \"$1\"";
-    let mut child = Command::new("sh")
+    let child = Command::new("sh")
         .args(["-c", script, env!("CARGO_BIN_EXE_tmpi")])
         .arg(dir.path())
         .stdout(Stdio::piped())
         .stderr(log.reopen().unwrap())
         .spawn()
         .unwrap();
-    let mut line = String::new();
-    BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-    let server = Process { addr: line.trim().strip_prefix("http://").unwrap().parse().unwrap(), child, log };
+    let server = Process::listening(child, log);
     let mut open: Vec<Connection> = (0..150).map(|_| Connection::open(server.addr)).collect();
     for connection in &mut open {
         assert_eq!(connection.request("GET", "/healthz", &[], &[]).status, 200);
