@@ -271,7 +271,6 @@ fn nearest(words: (&[u64], &[u64]), (w, h): (usize, usize), (x, y): (usize, usiz
 
 /// Adds the census distances of one row of a window, for each position of the window in the other picture.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn distances(own: &[u64], other: &[u64], out: &mut [u32]) {
     let n = out.len();
     for (i, word) in own.iter().enumerate() {
