@@ -1,7 +1,6 @@
 //! The frame header of a JPEG: size, components, and which coefficients its scans have delivered.
 
-use super::PhotoError;
-use super::segments::broken;
+use super::{PhotoError, broken};
 
 /// Colour model of a file's components.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

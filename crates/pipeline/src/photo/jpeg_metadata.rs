@@ -1,8 +1,8 @@
 //! Walks the segments of a JPEG file: reads its size and metadata, and writes the file again without metadata.
 
 use super::jpeg_frame::{Colour, Frame, Layout, is_frame, tables};
-use super::segments::{broken, entropy_end, next_marker, segment};
-use super::{Head, Limits, PhotoError};
+use super::segments::{entropy_end, next_marker, segment};
+use super::{Head, Limits, PhotoError, broken};
 
 /// What the segments of a JPEG file say, and the file reduced to what a decoder needs.
 #[derive(Debug)]
