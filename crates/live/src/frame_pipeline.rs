@@ -227,7 +227,9 @@ impl FramePipeline {
             options.max_error *= MEASURED;
         }
         let mut job = Context::new(&models, &self.limits, &options, &Silent);
-        let change = job.run(&mut self.compare, &frame.photo)?;
+        let stage = job.begin("compare")?;
+        let change = self.compare.next(&frame.photo);
+        job.end(stage);
         if change.cut {
             self.state = None;
             self.planes.reset();
@@ -254,8 +256,8 @@ impl FramePipeline {
                 let before = Instant::now();
                 let part = if has_depth { state.stale_part(change.across) } else { None };
                 update.depth_size = sizes.get(size).copied();
-                let (map, network_ms) = estimate(&mut job, frame, update.depth_size, part)?;
-                self.budget.depth_took(ms(before), network_ms);
+                let map = estimate(&mut job, frame, update.depth_size, part)?;
+                self.budget.depth_took(ms(before), job.network_ms);
                 state.merge_depth(map, has_depth && !measured, change.across);
             }
         }
@@ -408,7 +410,7 @@ impl State {
             confidence: None,
             given: true,
         };
-        let placed = job.run(planes, (&prepared, &map));
+        let placed = planes.place(job, &prepared, &map);
         self.delta = map.delta;
         let mut geometry = placed?.geometry;
         layers::add_backgrounds_to(&mut geometry, &self.delta, |t| chosen[t as usize]);

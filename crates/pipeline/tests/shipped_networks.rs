@@ -134,7 +134,7 @@ fn mean(values: &[f32]) -> f32 {
 fn denoised(models: &Models, photo: &Photo, map: &DisparityMap) -> WeightedDisparity {
     let (limits, options) = (Limits::default(), Options { denoise: Denoise::Theta, ..Options::default() });
     let mut job = Context::new(models, &limits, &options, &Silent);
-    job.run(&mut stages::Denoise, (photo, WeightedDisparity { delta: map.clone(), confidence: None, given: true })).unwrap()
+    stages::remove_noise(&mut job, photo, WeightedDisparity { delta: map.clone(), confidence: None, given: true }).unwrap()
 }
 
 #[test]
@@ -175,10 +175,10 @@ fn refined(models: &Models, scene: &Scene, refine: Switch) -> [Layered; 2] {
     let format = tmpi_core::container::PhotoFormat::Png;
     let mut prepared = Prepared { photo: scene.photo.clone(), intrinsics, format, uploaded: None, reduced: None, second_half: None };
     let map = WeightedDisparity { delta: scene.delta.clone(), confidence: None, given: true };
-    let placed = job.run(&mut stages::Planes::default(), (&prepared, &map)).unwrap();
-    let layered = job.run(&mut stages::Layers, (&mut prepared, placed, &map.delta)).unwrap();
+    let placed = stages::Planes::default().place(&mut job, &prepared, &map).unwrap();
+    let layered = stages::make_layers(&mut job, &mut prepared, placed, &map.delta).unwrap();
     let before = layered.clone();
-    [before, job.run(&mut stages::Refine, layered).unwrap()]
+    [before, stages::refine_layers(&mut job, layered).unwrap()]
 }
 
 fn shapes(layered: &Layered) -> Vec<&LayerMask> {

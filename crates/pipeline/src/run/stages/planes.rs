@@ -5,7 +5,7 @@ use tmpi_core::{DisparityMap, Geometry, Grid, Plane, Rect, Tile};
 use super::{Prepared, WeightedDisparity};
 use crate::planes::{Placement, Rounded, busy_share, discretisation_error, place_again, place_rounded};
 use crate::run::time_budget::Costs;
-use crate::run::{Budget, Context, MakeError, Parallax, PlaneCount, PlaneError, Sizes, Stage, TileError};
+use crate::run::{Budget, Context, MakeError, Parallax, PlaneCount, PlaneError, Sizes, TileError};
 use tmpi_core::container::{most_planes, readable};
 
 /// Stage from disparity to planes and labels of every tile.
@@ -60,35 +60,13 @@ impl Planes {
             *last = LastFrame::default();
         }
     }
-}
 
-impl LastFrame {
-    fn place(&mut self, map: &WeightedDisparity, grid: &Grid, placement: &Placement) -> Vec<Tile> {
-        let count = grid.tiles() as usize;
-        self.tiles.resize(count, Tile::default());
-        let changed = Some(&self.changed).filter(|c| c.len() == count);
-        let wanted = |i: u32| changed.is_none_or(|c| c[i as usize]);
-        place_again(&map.delta, map.confidence.as_deref(), grid, placement, &mut self.tiles, wanted);
-        self.changed.clear();
-        self.tiles.clone()
-    }
-}
-
-/// Tiles with their planes, still without background planes.
-#[derive(Clone, Debug)]
-pub struct Placed {
-    /// The tiles.
-    pub geometry: Geometry,
-    /// How the planes were placed.
-    pub placement: Placement,
-}
-
-impl Stage for Planes {
-    const NAME: &'static str = "planes";
-    type Input<'a> = (&'a Prepared, &'a WeightedDisparity);
-    type Output = Placed;
-
-    fn run(&mut self, (prepared, map): (&Prepared, &WeightedDisparity), context: &mut Context) -> Result<Placed, MakeError> {
+    /// Runs the stage.
+    ///
+    /// # Errors
+    /// [`MakeError`] if there is no time left.
+    pub fn place(&mut self, context: &mut Context, prepared: &Prepared, map: &WeightedDisparity) -> Result<Placed, MakeError> {
+        let stage = context.begin("planes")?;
         let (options, delta) = (context.options, &map.delta);
         let (w, h) = (delta.width, delta.height);
         let grid = options.grid(w, h);
@@ -103,7 +81,9 @@ impl Stage for Planes {
         let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles, matted: false };
         if let Some(last) = &mut self.last {
             placement.most = placement.most.min(most_planes(&grid)).min(last.most.unwrap_or(u32::MAX));
-            return Ok(Placed { geometry: scene(last.place(map, &grid, &placement)), placement });
+            let geometry = scene(last.place(map, &grid, &placement));
+            context.end(stage);
+            return Ok(Placed { geometry, placement });
         }
         let confidence = map.confidence.as_deref();
         let (mut tiles, mut before) = split(place_rounded(delta, confidence, &grid, &placement));
@@ -132,8 +112,30 @@ impl Stage for Planes {
         error.tile_px = tiles.iter().map(|t| (t.mean * 1e3).round() / 1e3).collect();
         error.planes = PlaneError { most_planes: placement.most, ..plane_error(&tiles, placement.target.map(|_| max_error)) };
         error.planes.rounding_px = movement.of_rounding(&geometry, &before);
+        context.end(stage);
         Ok(Placed { geometry, placement })
     }
+}
+
+impl LastFrame {
+    fn place(&mut self, map: &WeightedDisparity, grid: &Grid, placement: &Placement) -> Vec<Tile> {
+        let count = grid.tiles() as usize;
+        self.tiles.resize(count, Tile::default());
+        let changed = Some(&self.changed).filter(|c| c.len() == count);
+        let wanted = |i: u32| changed.is_none_or(|c| c[i as usize]);
+        place_again(&map.delta, map.confidence.as_deref(), grid, placement, &mut self.tiles, wanted);
+        self.changed.clear();
+        self.tiles.clone()
+    }
+}
+
+/// Tiles with their planes, still without background planes.
+#[derive(Clone, Debug)]
+pub struct Placed {
+    /// The tiles.
+    pub geometry: Geometry,
+    /// How the planes were placed.
+    pub placement: Placement,
 }
 
 /// Tiles, and the planes of each before rounding.
