@@ -175,7 +175,7 @@ fn refined(models: &Models, scene: &Scene, refine: Switch) -> [Layered; 2] {
     let format = tmpi_core::container::PhotoFormat::Png;
     let mut prepared = Prepared { photo: scene.photo.clone(), intrinsics, format, uploaded: None, reduced: None, second_half: None };
     let map = WeightedDisparity { delta: scene.delta.clone(), confidence: None, given: true };
-    let placed = stages::Planes::default().place(&mut job, &prepared, &map).unwrap();
+    let placed = stages::place_planes(&mut job, &prepared, &map).unwrap();
     let layered = stages::make_layers(&mut job, &mut prepared, placed, &map.delta).unwrap();
     let before = layered.clone();
     [before, stages::refine_layers(&mut job, layered).unwrap()]

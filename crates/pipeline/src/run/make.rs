@@ -1,6 +1,6 @@
 //! Runs all stages on one photo.
 
-use super::stages::{self, Planes, Source};
+use super::stages::{self, Source};
 use super::{Context, Made, MakeError, Models, Options, Sink, Sizes};
 use crate::photo::Limits;
 use crate::stereo::Stereo;
@@ -32,7 +32,7 @@ pub fn make(
     let before_strokes = (!options.strokes.is_empty()).then(|| strokes::to_keep(&map.delta));
     let map = if options.strokes.is_empty() { map } else { stages::apply_strokes(&mut job, &prepared.photo, map)? };
     let map = stages::snap_ramps(&mut job, &prepared.photo, map)?;
-    let placed = Planes::default().place(&mut job, &prepared, &map)?;
+    let placed = stages::place_planes(&mut job, &prepared, &map)?;
     let layered = stages::make_layers(&mut job, &mut prepared, placed, &map.delta)?;
     let layered = stages::refine_layers(&mut job, layered)?;
     let encoded = stages::encode_scene(&mut job, layered)?;

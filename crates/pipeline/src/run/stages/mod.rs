@@ -13,7 +13,7 @@ pub(super) use encode::{Encoded, encode_scene};
 pub use layers::{Layered, make_layers, refine_layers};
 pub use photo::Prepared;
 pub(super) use photo::prepare;
-pub use planes::{Placed, Planes};
+pub use planes::{Placed, WarmStart, place_planes};
 pub(super) use verify::verify_container;
 
 /// Names of all stages, in order.
