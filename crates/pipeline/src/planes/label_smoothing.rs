@@ -27,7 +27,7 @@ pub fn smooth_labels(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f
     let scale = (1.0 / target) as f32;
     let error = |i: usize, l: u8| {
         let [a, b, c] = some[l as usize];
-        ((a + b * s.us()[i] + c * s.vs()[i] - s.deltas()[i]) * scale).abs()
+        ((a + b * s.u[i] + c * s.v[i] - s.delta[i]) * scale).abs()
     };
     // rows that changed in the last pass and in this one: a pixel keeps its label if no neighbour changed
     let (mut before, mut now) = (vec![true; h], vec![false; h]);

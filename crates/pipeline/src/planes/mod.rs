@@ -116,12 +116,12 @@ fn place_tile_rounded(samples: &Samples, placement: &Placement) -> Rounded {
     if placement.method == Method::Slanted {
         return finish(samples, k_planes::fit(samples, most, placement.target), placement);
     }
-    let histogram = Histogram::new(samples.deltas(), samples.weights(), k_means::BINS);
+    let histogram = Histogram::new(&samples.delta, &samples.weight, k_means::BINS);
     let mut table = None;
     let mut run = |n: usize| -> Vec<Plane> {
         let centres = match placement.method {
             Method::Linear => evenly_spaced::centres(samples, n),
-            Method::Optimal => table.get_or_insert_with(|| ClusterTable::new(samples.deltas(), samples.weights(), most)).centres(n),
+            Method::Optimal => table.get_or_insert_with(|| ClusterTable::new(&samples.delta, &samples.weight, most)).centres(n),
             Method::Lloyd | Method::Slanted => k_means::centres(histogram.as_ref(), n),
         };
         centres.into_iter().map(Plane::fronto_parallel).collect()

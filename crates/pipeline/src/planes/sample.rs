@@ -4,13 +4,17 @@ use super::MAX_PLANES;
 use super::kernel::{self, Columns};
 use tmpi_core::{DisparityMap, Grid, Plane};
 
-/// The pixels of one tile as columns: position in half tiles from its centre, disparity and weight. Reused from tile to tile.
+/// The pixels of one tile as columns. Reused from tile to tile.
 #[derive(Clone, Debug, Default)]
 pub struct Samples {
-    u: Vec<f32>,
-    v: Vec<f32>,
-    delta: Vec<f32>,
-    weight: Vec<f32>,
+    /// Horizontal positions, in half tiles from the tile's centre.
+    pub u: Vec<f32>,
+    /// Vertical positions, in half tiles from the tile's centre.
+    pub v: Vec<f32>,
+    /// Disparities.
+    pub delta: Vec<f32>,
+    /// Weights.
+    pub weight: Vec<f32>,
     /// Width of the tile in pixels.
     pub width: usize,
 }
@@ -90,26 +94,6 @@ impl Samples {
     /// Whether there are no pixels.
     pub fn is_empty(&self) -> bool {
         self.delta.is_empty()
-    }
-
-    /// Disparities.
-    pub fn deltas(&self) -> &[f32] {
-        &self.delta
-    }
-
-    /// Weights.
-    pub fn weights(&self) -> &[f32] {
-        &self.weight
-    }
-
-    /// Horizontal positions, in half tiles from the tile's centre.
-    pub fn us(&self) -> &[f32] {
-        &self.u
-    }
-
-    /// Vertical positions, in half tiles from the tile's centre.
-    pub fn vs(&self) -> &[f32] {
-        &self.v
     }
 
     /// The columns in the form that the kernels take.

@@ -60,7 +60,7 @@ fn steady(s: &Samples, planes: &[Plane], last: &[u8], nearest: &[u32], target: f
     let scale = (1.0 / target.max(f64::from(f32::MIN_POSITIVE))) as f32;
     let squared = |i: usize, l: usize| {
         let [a, b, c] = some[l];
-        ((a + b * s.us()[i] + c * s.vs()[i] - s.deltas()[i]) * scale).powi(2)
+        ((a + b * s.u[i] + c * s.v[i] - s.delta[i]) * scale).powi(2)
     };
     let pixel = |(i, (&was, &near)): (usize, (&u8, &u32))| {
         let stays = usize::from(was) < some.len() && squared(i, was.into()) <= squared(i, near as usize) + MARGIN;
