@@ -66,9 +66,7 @@ impl Golden {
 
 #[test]
 fn networks_agree_with_another_evaluator() {
-    if tmpi_testing::Need::Onnx.or_skip(available()).is_none() {
-        return;
-    }
+    let Some(()) = tmpi_testing::Need::Onnx.or_skip(available()) else { return };
     let goldens: Vec<Golden> = serde_json::from_str(include_str!("../../../tests/onnx/goldens.json")).unwrap();
     for golden in goldens {
         let file = std::fs::read(folder().join(&golden.network)).unwrap();

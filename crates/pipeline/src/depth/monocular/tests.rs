@@ -209,9 +209,7 @@ fn every_shape_of_photo_runs_through_every_network() {
 
 #[test]
 fn networks_of_several_inputs_outputs_and_files_load_and_run() {
-    if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
-        return;
-    }
+    let Some(()) = tmpi_testing::Need::Onnx.or_skip(crate::networks::available()) else { return };
     let load = |name: &str, model, beside: &[ExternalData]| {
         Monocular::load(super::super::adapter(name).unwrap(), model, beside, &Config::default())
     };
@@ -251,9 +249,7 @@ fn flipping_averages_both_runs() {
 
 #[test]
 fn a_real_file_is_loaded_and_run() {
-    if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
-        return;
-    }
+    let Some(()) = tmpi_testing::Need::Onnx.or_skip(crate::networks::available()) else { return };
     let mean = include_bytes!("../../../../../tests/onnx/mean.onnx");
     let plain = Adapter { mean: [0.0; 3], deviation: [1.0; 3], ..ONE_RUN };
     let got = Monocular::load(&plain, mean, &[], &Config::default()).unwrap();
