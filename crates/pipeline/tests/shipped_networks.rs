@@ -70,7 +70,7 @@ fn networks_agree_with_another_evaluator() {
     let goldens: Vec<Golden> = serde_json::from_str(include_str!("../../../tests/onnx/goldens.json")).unwrap();
     for golden in goldens {
         let file = std::fs::read(folder().join(&golden.network)).unwrap();
-        let session = Session::load(&golden.network, &file, &Config::default()).unwrap();
+        let session = Session::load(&golden.network, &file, &[], &Config::default()).unwrap();
         let (off, swapped) = (golden.difference(&session, false), golden.difference(&session, true));
         assert!(off < GOLDEN && swapped > 10.0 * GOLDEN, "{}: off by {off}, with swapped channels by {swapped}", golden.network);
     }

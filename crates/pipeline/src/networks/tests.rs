@@ -16,7 +16,7 @@ fn rows(n: usize, f: impl Fn(usize) -> f32) -> Tensor {
 }
 
 fn load() -> Option<Session> {
-    onnx().map(|()| Session::load("sum", SUM_DIFFERENCE, &Config::default()).unwrap())
+    onnx().map(|()| Session::load("sum", SUM_DIFFERENCE, &[], &Config::default()).unwrap())
 }
 
 #[test]
@@ -39,7 +39,7 @@ fn nan_and_infinity_pass_through_unharmed() {
 #[test]
 fn half_precision_networks_take_and_return_32_bits() {
     let Some(()) = onnx() else { return };
-    let session = Session::load("half", HALF, &Config::default()).unwrap();
+    let session = Session::load("half", HALF, &[], &Config::default()).unwrap();
     assert_eq!(session.inputs(), [TensorInfo { name: "a".into(), shape: vec![-1, 3] }]);
     // a tenth is rounded to 11 bits, 1e6 is beyond 16-bit floats
     let out = session.run(vec![rows(1, |i| [0.1, 1e6, -2.0][i])]).unwrap();
@@ -73,7 +73,7 @@ fn errors_name_wrong_inputs() {
 fn unusable_models_are_errors() {
     let Some(()) = onnx() else { return };
     for (bytes, text) in [(b"".as_slice(), ""), (b"no model", ""), (&SUM_DIFFERENCE[..60], ""), (INTEGERS, "16-bit floats")] {
-        let error = Session::load("bad", bytes, &Config::default()).err().unwrap();
+        let error = Session::load("bad", bytes, &[], &Config::default()).err().unwrap();
         assert!(matches!(&error, OnnxError::Model { reason, .. } if reason.contains(text)), "{error}");
     }
 }
@@ -81,7 +81,7 @@ fn unusable_models_are_errors() {
 #[test]
 fn a_missing_provider_is_skipped_only_if_the_processor_is_listed() {
     let Some(()) = onnx() else { return };
-    let with = |providers: Vec<Provider>| Session::load("sum", SUM_DIFFERENCE, &Config { providers, threads: 1 });
+    let with = |providers: Vec<Provider>| Session::load("sum", SUM_DIFFERENCE, &[], &Config { providers, threads: 1 });
     assert!(with(vec![Provider::DirectMl, Provider::Cpu]).is_ok());
     assert!(matches!(with(vec![Provider::DirectMl]), Err(OnnxError::Model { .. })));
 }
