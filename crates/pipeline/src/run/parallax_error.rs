@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use tmpi_core::{DisparityMap, Geometry, Intrinsics, Plane, Rect, Tile, TileFrame, ViewBox};
 
 use super::report::ParallaxShift;
+use crate::photo::bilinear;
 
 /// Most pixels that [`Parallax::resampled`] compares.
 const SAMPLES: usize = 1 << 16;
@@ -152,14 +153,7 @@ fn moved(each: impl Iterator<Item = [f64; 2]>, count: usize, sampled: bool) -> P
 /// δ at a position in pixels, by bilinear interpolation.
 fn at(map: &DisparityMap, (x, y): (f64, f64)) -> f64 {
     let (w, h) = (map.width as usize, map.height as usize);
-    let place = |p: f64, n: usize| {
-        let p = (p - 0.5).clamp(0.0, (n - 1) as f64);
-        (p as usize, (p as usize + 1).min(n - 1), p.fract())
-    };
-    let ((x0, x1, fx), (y0, y1, fy)) = (place(x, w), place(y, h));
-    let value = |x: usize, y: usize| f64::from(map.delta[y * w + x]);
-    let line = |y: usize| value(x0, y) * (1.0 - fx) + value(x1, y) * fx;
-    line(y0) * (1.0 - fy) + line(y1) * fy
+    bilinear((x - 0.5, y - 0.5), (w, h), |x, y| f64::from(map.delta[y * w + x]))
 }
 
 fn gcd(a: usize, b: usize) -> usize {
