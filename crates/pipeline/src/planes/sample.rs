@@ -122,13 +122,13 @@ impl Samples {
     /// Absolute errors in δ of labelled pixels.
     pub fn errors(&self, planes: &[Plane], labels: &[u8]) -> Vec<f32> {
         let planes: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
-        let pixels = labels.iter().zip(&self.u).zip(&self.v).zip(&self.delta);
-        pixels
-            .map(|(((&l, u), v), d)| {
-                let [a, b, c] = planes[l as usize];
-                (a + b * u + c * v - d).abs()
-            })
-            .collect()
+        labels.iter().enumerate().map(|(i, &l)| self.error(i, planes[usize::from(l)]).abs()).collect()
+    }
+
+    /// Error in δ of pixel `i` on a plane.
+    #[inline]
+    pub(super) fn error(&self, i: usize, [a, b, c]: [f32; 3]) -> f32 {
+        a + b * self.u[i] + c * self.v[i] - self.delta[i]
     }
 
     /// 99th percentile of the absolute error in δ to the nearest plane.
