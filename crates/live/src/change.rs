@@ -1,8 +1,6 @@
 //! Detects which blocks of a frame differ from the previous one.
 
 use tmpi_core::{Grid, Photo};
-use tmpi_pipeline::MakeError;
-use tmpi_pipeline::run::{Context, Stage};
 
 /// Side of a block in pixels. The stride of tiles is a multiple of it.
 pub const BLOCK: u32 = 8;
@@ -30,7 +28,7 @@ impl Default for Tolerance {
     }
 }
 
-/// Stage that compares each frame with a reference frame.
+/// Compares each frame with a reference frame.
 #[derive(Clone, Debug, Default)]
 pub struct Compare {
     tolerance: Tolerance,
@@ -135,16 +133,6 @@ fn histogram(photo: &Photo) -> [u32; BINS] {
         bins[(luma as usize * BINS) >> 8] += 1;
     }
     bins
-}
-
-impl Stage for Compare {
-    const NAME: &'static str = "compare";
-    type Input<'a> = &'a Photo;
-    type Output = Change;
-
-    fn run(&mut self, photo: &Photo, _: &mut Context) -> Result<Change, MakeError> {
-        Ok(self.next(photo))
-    }
 }
 
 #[cfg(test)]

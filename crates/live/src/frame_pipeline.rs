@@ -2,7 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use tmpi_core::container::PhotoFormat;
 use tmpi_core::live::LiveError;
 use tmpi_core::live::chunk::{self, Area};
 use tmpi_core::live::schema::Chunk;
@@ -10,7 +9,7 @@ use tmpi_core::{self as core, DisparityMap, Grid, Intrinsics, Photo, Rect, Tile}
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::planes::MAX_AUTO_PLANES;
 use tmpi_pipeline::run::Context;
-use tmpi_pipeline::run::stages::{Planes, Prepared, WeightedDisparity};
+use tmpi_pipeline::run::stages::{WarmStart, WeightedDisparity};
 use tmpi_pipeline::{MakeError, Models, Options, PlaneCount, Silent, StageTime, layers};
 
 use crate::align;
@@ -139,7 +138,7 @@ pub struct FramePipeline {
     limits: Limits,
     budget: Budget,
     compare: Compare,
-    planes: Planes,
+    planes: WarmStart,
     state: Option<State>,
     /// All tiles as readers have them. After a cut, tiles of the old scene remain until there is time to replace them.
     reader_tiles: Option<core::Geometry>,
@@ -181,16 +180,7 @@ impl FramePipeline {
     /// Starts without any frame.
     pub fn new(models: Models, settings: Settings) -> Self {
         let (budget, compare) = (Budget::new(settings.frame_ms), Compare::default());
-        Self {
-            models,
-            settings,
-            limits: Limits::default(),
-            budget,
-            compare,
-            planes: Planes::with_warm_start(),
-            state: None,
-            reader_tiles: None,
-        }
+        Self { models, settings, limits: Limits::default(), budget, compare, planes: WarmStart::default(), state: None, reader_tiles: None }
     }
 
     /// All tiles as a reader of every chunk has them. After a cut, tiles of the old scene remain until they are replaced. `None` until
@@ -227,10 +217,12 @@ impl FramePipeline {
             options.max_error *= MEASURED;
         }
         let mut job = Context::new(&models, &self.limits, &options, &Silent);
-        let change = job.run(&mut self.compare, &frame.photo)?;
+        let stage = job.begin("compare")?;
+        let change = self.compare.next(&frame.photo);
+        job.end(stage);
         if change.cut {
             self.state = None;
-            self.planes.reset();
+            self.planes = WarmStart::default();
         }
         let mut update = Update { cut: change.cut, ..Update::default() };
         let state = self.state.get_or_insert_with(|| State::new(&frame.photo, &self.settings));
@@ -254,8 +246,8 @@ impl FramePipeline {
                 let before = Instant::now();
                 let part = if has_depth { state.stale_part(change.across) } else { None };
                 update.depth_size = sizes.get(size).copied();
-                let (map, network_ms) = estimate(&mut job, frame, update.depth_size, part)?;
-                self.budget.depth_took(ms(before), network_ms);
+                let map = estimate(&mut job, frame, update.depth_size, part)?;
+                self.budget.depth_took(ms(before), job.network_ms);
                 state.merge_depth(map, has_depth && !measured, change.across);
             }
         }
@@ -265,7 +257,7 @@ impl FramePipeline {
             let chosen_tiles = state.queue.next(share.tiles, share.planes.is_none());
             if !chosen_tiles.is_empty() {
                 let before = Instant::now();
-                let counts = state.place(&mut job, &mut self.planes, frame, (&chosen_tiles, share, self.settings.parallax), &mut update)?;
+                let counts = state.place(&mut job, &mut self.planes, (&chosen_tiles, share, self.settings.parallax), &mut update)?;
                 self.budget.tiles_took(&counts, share.planes.is_none(), ms(before));
                 state.last_sent = (!update.sent.is_empty() && !measured).then_some(frame.at);
             }
@@ -388,8 +380,7 @@ impl State {
     fn place(
         &mut self,
         job: &mut Context,
-        planes: &mut Planes,
-        frame: &Frame,
+        planes: &mut WarmStart,
         (chosen_tiles, share, parallax): (&[u32], TileBudget, f64),
         update: &mut Update,
     ) -> Result<Vec<usize>, MakeError> {
@@ -397,20 +388,8 @@ impl State {
         for t in chosen_tiles {
             chosen[*t as usize] = true;
         }
-        planes.set_changed(chosen.clone());
-        planes.set_plane_limit(share.planes);
-        let intrinsics = self.geometry.intrinsics;
-        // the stage uses only the camera and the map
-        let photo = Photo { width: frame.photo.width, height: frame.photo.height, rgb: Vec::new() };
-        let prepared = Prepared { photo, intrinsics, format: PhotoFormat::Jpeg, uploaded: None, reduced: None, second_half: None };
-        let map = WeightedDisparity {
-            delta: std::mem::replace(&mut self.delta, DisparityMap { width: 0, height: 0, delta: Vec::new() }),
-            confidence: None,
-            given: true,
-        };
-        let placed = job.run(planes, (&prepared, &map));
-        self.delta = map.delta;
-        let mut geometry = placed?.geometry;
+        (planes.changed, planes.most) = (chosen.clone(), share.planes);
+        let mut geometry = planes.place(job, self.geometry.intrinsics, &self.delta)?;
         layers::add_backgrounds_to(&mut geometry, &self.delta, |t| chosen[t as usize]);
         let mut counts = Vec::with_capacity(chosen_tiles.len());
         for (t, new) in (0..).zip(geometry.tiles).filter(|(t, _)| chosen[*t as usize]) {

@@ -116,12 +116,6 @@ mod h264 {
         key: Option<KeyFrame>,
     }
 
-    impl H264 {
-        pub fn new(size: (u32, u32)) -> Self {
-            Self { decoder: rusty_h264_decoder::Decoder::new(), size, key: None }
-        }
-    }
-
     impl Decoder for H264 {
         fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
             // damaged slices can make the decoder panic, or unable to read sound ones; a new decoder continues at the next key frame
@@ -132,6 +126,10 @@ mod h264 {
     }
 
     impl H264 {
+        pub fn new(size: (u32, u32)) -> Self {
+            Self { decoder: rusty_h264_decoder::Decoder::new(), size, key: None }
+        }
+
         fn picture(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
             self.check(data)?;
             let decoded = self.decoder.decode(data).map_err(|error| match error {
@@ -153,9 +151,8 @@ mod h264 {
                 return Err(VideoError::Broken("a slice refers to later pictures".into()));
             }
             if let Some(key) = key_frame("avc1.", data)? {
-                let (width, height) = self.size;
                 if (key.width, key.height) != self.size {
-                    return Err(VideoError::Size(key.width, key.height, width, height));
+                    return Err(VideoError::Size(key.width, key.height, self.size.0, self.size.1));
                 }
                 self.key = Some(key);
             }

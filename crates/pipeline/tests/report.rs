@@ -15,7 +15,7 @@ use tmpi_pipeline::photo::{Limits, decode};
 use tmpi_pipeline::run::{ErrorFigures, ParallaxShift, Report};
 use tmpi_pipeline::stereo::Stereo;
 use tmpi_pipeline::{Denoise, Made, Models, Options, Silent, Switch, make};
-use tmpi_render::{Reference, Renderer};
+use tmpi_render::{Reference, Renderer, corners};
 use tmpi_testing::pictures::{noise, png, waves as photo};
 
 /// A photo, the file of its depth map, and the disparities that the file holds by definition.
@@ -175,11 +175,8 @@ fn identity(scene: &Arc<Scene>) -> Vec<[u8; 3]> {
 fn pruning(photo: &Photo, geometry: &Geometry) -> (u8, f64) {
     let scene = |masks| Arc::new(compose(photo.clone(), geometry, texture(photo, geometry, masks)));
     let (all, kept) = (scene(geometry.masks_unpruned()), scene(geometry.masks()));
-    let v = geometry.view_box;
     let mut worst = (0, 0.0);
-    for i in 0..8u32 {
-        let side = |bit: u32, e: f64| if i >> bit & 1 == 0 { e } else { -e };
-        let pose = Pose::at(side(0, v.x), side(1, v.y), side(2, v.z));
+    for pose in corners(&geometry.view_box, 0.0) {
         let camera = Camera { pose, intrinsics: all.intrinsics, width: photo.width, height: photo.height };
         let [a, b] = [&all, &kept].map(|s| Reference.render(s, &camera).unwrap().rgba);
         let off: Vec<u8> = a.iter().zip(&b).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max().unwrap()).collect();

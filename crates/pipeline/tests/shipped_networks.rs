@@ -66,13 +66,11 @@ impl Golden {
 
 #[test]
 fn networks_agree_with_another_evaluator() {
-    if tmpi_testing::Need::Onnx.or_skip(available()).is_none() {
-        return;
-    }
+    let Some(()) = tmpi_testing::Need::Onnx.or_skip(available()) else { return };
     let goldens: Vec<Golden> = serde_json::from_str(include_str!("../../../tests/onnx/goldens.json")).unwrap();
     for golden in goldens {
         let file = std::fs::read(folder().join(&golden.network)).unwrap();
-        let session = Session::load(&golden.network, &file, &Config::default()).unwrap();
+        let session = Session::load(&golden.network, &file, &[], &Config::default()).unwrap();
         let (off, swapped) = (golden.difference(&session, false), golden.difference(&session, true));
         assert!(off < GOLDEN && swapped > 10.0 * GOLDEN, "{}: off by {off}, with swapped channels by {swapped}", golden.network);
     }
@@ -134,7 +132,7 @@ fn mean(values: &[f32]) -> f32 {
 fn denoised(models: &Models, photo: &Photo, map: &DisparityMap) -> WeightedDisparity {
     let (limits, options) = (Limits::default(), Options { denoise: Denoise::Theta, ..Options::default() });
     let mut job = Context::new(models, &limits, &options, &Silent);
-    job.run(&mut stages::Denoise, (photo, WeightedDisparity { delta: map.clone(), confidence: None, given: true })).unwrap()
+    stages::remove_noise(&mut job, photo, WeightedDisparity { delta: map.clone(), confidence: None, given: true }).unwrap()
 }
 
 #[test]
@@ -175,10 +173,10 @@ fn refined(models: &Models, scene: &Scene, refine: Switch) -> [Layered; 2] {
     let format = tmpi_core::container::PhotoFormat::Png;
     let mut prepared = Prepared { photo: scene.photo.clone(), intrinsics, format, uploaded: None, reduced: None, second_half: None };
     let map = WeightedDisparity { delta: scene.delta.clone(), confidence: None, given: true };
-    let placed = job.run(&mut stages::Planes::default(), (&prepared, &map)).unwrap();
-    let layered = job.run(&mut stages::Layers, (&mut prepared, placed, &map.delta)).unwrap();
+    let placed = stages::place_planes(&mut job, &prepared, &map).unwrap();
+    let layered = stages::make_layers(&mut job, &mut prepared, placed, &map.delta).unwrap();
     let before = layered.clone();
-    [before, job.run(&mut stages::Refine, layered).unwrap()]
+    [before, stages::refine_layers(&mut job, layered).unwrap()]
 }
 
 fn shapes(layered: &Layered) -> Vec<&LayerMask> {

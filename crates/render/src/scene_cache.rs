@@ -235,9 +235,7 @@ mod tests {
         drop(scenes);
         cache.remove_dropped_scenes();
         assert_eq!((cache.entries.len(), cache.bytes()), (0, 0));
-        let get = |cache: &mut SceneCache<u32>, scene: &Arc<Scene>| *cache.insert(scene, 10, || 9);
-        let other = Arc::new(testing::flat(8, 8, 0.5));
-        get(&mut cache, &other);
+        assert_eq!(get(&mut cache, &Arc::new(testing::flat(8, 8, 0.5))), 5);
         assert_eq!(cache.entries.len(), 1);
     }
 

@@ -228,7 +228,6 @@ dispatch!(
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn mark_changed_body(was: &[u32], now: &[u32], changed: &mut [u8]) {
     for (changed, (was, now)) in changed.iter_mut().zip(was.iter().zip(now)) {
         *changed = u8::from(difference(*was, *now) > COLOUR_STEP);

@@ -8,7 +8,6 @@ dispatch!(
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn words_body(rgb: &[[u8; 3]], out: &mut [u32]) {
     let count = rgb.len().min(out.len());
     let ((fours, rest), (words, last)) = (rgb[..count].as_chunks::<4>(), out[..count].as_chunks_mut::<4>());
@@ -32,7 +31,6 @@ pub const fn of_word(word: u32) -> [u8; 3] {
 
 /// Absolute difference of two colours in levels, summed over the channels: 0 to 765.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 pub fn difference(a: u32, b: u32) -> u32 {
     let channel = |shift: u32| ((a >> shift & 0xff) as i32 - (b >> shift & 0xff) as i32).unsigned_abs();
     channel(0) + channel(8) + channel(16)

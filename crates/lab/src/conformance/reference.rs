@@ -121,9 +121,8 @@ fn solved(mut system: [[f64; 4]; 3]) -> [f64; 3] {
 /// another label than before may be off by the target at most.
 pub(super) fn smoothed_labels(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f64, neighbour: f64) {
     let (w, h) = (s.width, labels.len() / s.width);
-    let error = |i: usize, l: u8| {
-        (planes[usize::from(l)].disparity(f64::from(s.us()[i]), f64::from(s.vs()[i])) - f64::from(s.deltas()[i])).abs() / target
-    };
+    let error =
+        |i: usize, l: u8| (planes[usize::from(l)].disparity(f64::from(s.u[i]), f64::from(s.v[i])) - f64::from(s.delta[i])).abs() / target;
     for i in (0..4).flat_map(|_| 0..w * h) {
         let (x, y) = (i % w, i / w);
         let around = (y.saturating_sub(1)..(y + 2).min(h)).flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| y * w + x));

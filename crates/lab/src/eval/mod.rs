@@ -213,7 +213,7 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
 
 /// Loads the network of an ONNX file, which must take two pictures.
 fn lpips_network(path: &Path) -> Result<Session, LabError> {
-    let session = Session::load("lpips", &files::read(path)?, &Config::default())?;
+    let session = Session::load("lpips", &files::read(path)?, &[], &Config::default())?;
     if session.inputs().len() != 2 {
         return Err(LabError::file(path, format!("it has {} inputs; a network for LPIPS has two", session.inputs().len())));
     }

@@ -3,33 +3,31 @@
 use tmpi_core::{DisparityMap, Photo, Rect};
 use tmpi_pipeline::MakeError;
 use tmpi_pipeline::run::Context;
-use tmpi_pipeline::run::stages::{Denoise, Depth, Snap, Source, WeightedDisparity};
+use tmpi_pipeline::run::stages::{Source, WeightedDisparity, find_disparity, remove_noise, snap_ramps};
 
 use super::Frame;
 
 /// Radius in pixels that snapping reads, over its three passes.
 const SNAP_REACH: u32 = 8;
 
-/// Returns a frame's disparity, and the milliseconds that the network took. The disparity is measured and denoised, or estimated by the
-/// network at `size`. Its ramps are snapped; in an estimate only those in `part`, if there is one.
+/// Returns a frame's disparity. It is measured and denoised, or estimated by the network at `size`. Its ramps are snapped; in an estimate
+/// only those in `part`, if there is one.
 pub(super) fn estimate(
     job: &mut Context,
     frame: &Frame,
     size: Option<(u32, u32)>,
     part: Option<Rect>,
-) -> Result<(WeightedDisparity, f64), MakeError> {
+) -> Result<WeightedDisparity, MakeError> {
     if let Some(given) = &frame.depth {
         let map = WeightedDisparity { delta: given.clone(), confidence: None, given: true };
-        let map = job.run(&mut Denoise, (&frame.photo, map))?;
-        return Ok((job.run(&mut Snap, (&frame.photo, map))?, 0.0));
+        let map = remove_noise(job, &frame.photo, map)?;
+        return snap_ramps(job, &frame.photo, map);
     }
-    let mut depth = Depth::at(size);
-    let map = job.run(&mut depth, (&frame.photo, Source::Network))?;
-    let map = match part {
-        Some(part) => snap_part(job, &frame.photo, map, part)?,
-        None => job.run(&mut Snap, (&frame.photo, map))?,
-    };
-    Ok((map, depth.network_ms()))
+    let map = find_disparity(job, &frame.photo, Source::Network, size)?;
+    match part {
+        Some(part) => snap_part(job, &frame.photo, map, part),
+        None => snap_ramps(job, &frame.photo, map),
+    }
 }
 
 /// Snaps the ramps in a part of a map, with the same result there as snapping all of it.
@@ -42,7 +40,7 @@ pub(super) fn snap_part(job: &mut Context, photo: &Photo, mut map: WeightedDispa
     let rgb = rows().flat_map(|at| &photo.rgb[at..at + w as usize]).copied().collect();
     let delta = rows().flat_map(|at| &map.delta.delta[at..at + w as usize]).copied().collect();
     let cut = WeightedDisparity { delta: DisparityMap { width: w, height: h, delta }, confidence: None, given: map.given };
-    let snapped = job.run(&mut Snap, (&Photo { width: w, height: h, rgb }, cut))?;
+    let snapped = snap_ramps(job, &Photo { width: w, height: h, rgb }, cut)?;
     for y in part.y..part.y + part.h {
         let (to, from) = ((y as usize * width) + part.x as usize, ((y - y0) * w + part.x - x0) as usize);
         let count = part.w as usize;

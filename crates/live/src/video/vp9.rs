@@ -45,9 +45,8 @@ impl Vp9 {
         }
         let header = parse_uncompressed_header(&mut BitReader::new(data), &[self.size; 8]);
         let header = header.map_err(|e| VideoError::Broken(e.to_string()))?;
-        let (width, height) = self.size;
         if !header.show_existing_frame && (header.width, header.height) != self.size {
-            return Err(VideoError::Size(header.width, header.height, width, height));
+            return Err(VideoError::Size(header.width, header.height, self.size.0, self.size.1));
         }
         Ok(())
     }

@@ -317,14 +317,10 @@ mod tests {
     fn half_a_picture_is_a_map_unless_it_is_in_colour() {
         let grey = |x: u32| (x * 2) as u8;
         let half = |seam: [u8; 3], within: [u8; 3]| {
-            Photo::from_fn(100, 3, |x, y| {
-                if y == 1 && x == 0 {
-                    seam
-                } else if y == 1 && x == 60 {
-                    within
-                } else {
-                    [grey(x); 3]
-                }
+            Photo::from_fn(100, 3, |x, y| match (x, y) {
+                (0, 1) => seam,
+                (60, 1) => within,
+                _ => [grey(x); 3],
             })
         };
         // colours that cross the seam count by their brightness: (77 · 110 + 150 · 75 + 29 · 196) / 256 = 99.2

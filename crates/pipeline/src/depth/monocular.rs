@@ -38,7 +38,7 @@ impl Monocular {
     /// # Errors
     /// [`OnnxError`] if there is no library, or if the file does not fit the adapter.
     pub fn load(adapter: &Adapter, model: &[u8], external_data: &[ExternalData], config: &Config) -> Result<Self, OnnxError> {
-        let session = Session::load_with(adapter.name, model, external_data, config)?;
+        let session = Session::load(adapter.name, model, external_data, config)?;
         let bad = |reason: String| OnnxError::Model { name: adapter.name.to_owned(), reason };
         let (io, rows, columns) = OnnxIo::of(adapter, session.inputs(), session.outputs()).map_err(bad)?;
         let (rule, mut adapter) = (adapter.size, *adapter);

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use crate::denoise::guided_filter::box_mean;
-use crate::photo::{Filter, resample, working_size};
+use crate::photo::{Filter, around, resample, working_size};
 use tmpi_core::{DisparityMap, Photo};
 
 /// Most pixels at which the model is fitted. On seven stereo scenes with this program's own depth, 100 000 instead of 400 000 keep the
@@ -26,14 +26,20 @@ pub fn upsample(photo: &Photo, small: &DisparityMap) -> DisparityMap {
     let delta = resample(&small.delta, (small.width, small.height), (w, h), Filter::Triangle, |v| [v], |[v]| v);
     let radius = ((f64::from(w) * f64::from(h)).sqrt() * RADIUS).round().max(1.0) as usize;
     let model = fit(&guide, &delta, (w as usize, h as usize), radius, EPSILON);
-    let (columns, rows) = (Between::all(w, width), Between::all(h, height));
+    // the samples before and after each of the result's, and the share of the latter
+    let between = |from: u32, to: u32| -> Vec<(usize, usize, f32)> {
+        let ratio = f64::from(from) / f64::from(to);
+        let places = (0..to).map(|i| around((f64::from(i) + 0.5) * ratio - 0.5, from as usize));
+        places.map(|(first, second, share)| (first, second, share as f32)).collect()
+    };
+    let (columns, rows) = (between(w, width), between(h, height));
     let mut out = vec![0f32; photo.rgb.len()];
     out.par_chunks_exact_mut(width as usize).zip(photo.rgb.par_chunks_exact(width as usize)).zip(rows).for_each(|((out, rgb), row)| {
         let line = |y: usize| &model[y * w as usize..(y + 1) * w as usize];
-        let (upper, lower) = (line(row.first), line(row.second));
-        let blended: Vec<[f32; 4]> = upper.iter().zip(lower).map(|(a, b)| mix(a, b, row.share)).collect();
+        let (upper, lower) = (line(row.0), line(row.1));
+        let blended: Vec<[f32; 4]> = upper.iter().zip(lower).map(|(a, b)| mix(a, b, row.2)).collect();
         for ((o, p), at) in out.iter_mut().zip(rgb).zip(&columns) {
-            let m = mix(&blended[at.first], &blended[at.second], at.share);
+            let m = mix(&blended[at.0], &blended[at.1], at.2);
             let colour = p.map(|v| f32::from(v) / 255.0);
             *o = (m[0] * colour[0] + m[1] * colour[1] + m[2] * colour[2] + m[3]).clamp(0.0, 1.0);
         }
@@ -51,27 +57,6 @@ pub fn halved(d: &DisparityMap) -> DisparityMap {
 
 fn mix(a: &[f32; 4], b: &[f32; 4], share: f32) -> [f32; 4] {
     std::array::from_fn(|i| a[i] + (b[i] - a[i]) * share)
-}
-
-/// Position of a result's sample between two samples.
-#[derive(Clone, Copy)]
-struct Between {
-    first: usize,
-    second: usize,
-    share: f32,
-}
-
-impl Between {
-    fn all(from: u32, to: u32) -> Vec<Self> {
-        let ratio = f64::from(from) / f64::from(to);
-        (0..to)
-            .map(|i| {
-                let at = ((f64::from(i) + 0.5) * ratio - 0.5).clamp(0.0, f64::from(from - 1));
-                let first = at as usize;
-                Self { first, second: (first + 1).min(from as usize - 1), share: (at - first as f64) as f32 }
-            })
-            .collect()
-    }
 }
 
 /// Mean over all windows of the model `δ = m₀ r + m₁ g + m₂ b + m₃` fitted in each.

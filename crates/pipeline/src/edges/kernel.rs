@@ -45,14 +45,12 @@ impl Tables {
 
 /// Sets all bits of each lane where `is` holds.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn mask(is: impl Fn(usize) -> bool) -> [u32; LANES] {
     std::array::from_fn(|k| u32::from(is(k)).wrapping_neg())
 }
 
 /// Adds values where their mask is set, by masking their bits: otherwise the sum becomes a masked store, which is slow.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn add(sums: &mut Lanes, values: &Lanes, counts: &[u32; LANES]) {
     for ((s, v), m) in sums.iter_mut().zip(values).zip(counts) {
         *s += f32::from_bits(v.to_bits() & m);
@@ -65,7 +63,6 @@ fn total(lanes: &Lanes) -> f32 {
 
 /// exp(−dc²/2σ²) by colour distance.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn likeness<S: Simd>(simd: S, own: [f32; 3], colour: &[Lanes; 3]) -> f32x8<S> {
     let square = |c: usize| {
         let d = f32x8::load_array_ref(simd, &colour[c]) - f32x8::splat(simd, own[c]);
@@ -83,7 +80,6 @@ pub(super) fn sides(level: Level, band: &Band, tables: &Tables, y: usize, lo: &[
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
 fn sides_body<S: Simd>(simd: S, band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     for (x, ((o, &lo), &hi)) in out.iter_mut().zip(lo).zip(hi).enumerate() {
         let step = hi - lo;
@@ -105,7 +101,6 @@ fn sides_body<S: Simd>(simd: S, band: &Band, tables: &Tables, y: usize, lo: &[f3
 
 /// The two sides of a pixel's window: δ at most `low_to`, and δ at least `high_from`.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn gathered<S: Simd>(simd: S, band: &Band, tables: &Tables, (x, y): (usize, usize), low_to: f32, high_from: f32) -> (Side, Side) {
     let own = band.colour(x, y);
     let lanes = |of: &Lanes| f32x8::load_array_ref(simd, of);
@@ -132,7 +127,6 @@ pub(super) fn medians(level: Level, band: &Band, kept: f32, y: usize, lo: &[f32]
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
 fn medians_body<S: Simd>(simd: S, band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     for (x, ((o, &lo), &hi)) in out.iter_mut().zip(lo).zip(hi).enumerate() {
         if hi - lo <= EDGE {
@@ -166,7 +160,6 @@ fn medians_body<S: Simd>(simd: S, band: &Band, kept: f32, y: usize, lo: &[f32], 
 
 /// The smallest value that, with all values up to it, has half of the weight; at most [`ROOM`] values.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
 fn weighted_median<S: Simd>(simd: S, values: &[f32], weights: &[f32]) -> f32 {
     let mut of = [[f32::INFINITY; LANES]; ROOM / LANES];
     of.as_flattened_mut()[..values.len()].copy_from_slice(values);
@@ -178,7 +171,6 @@ fn weighted_median<S: Simd>(simd: S, values: &[f32], weights: &[f32]) -> f32 {
 
 /// Weight of all `values` up to each value of `of`. For a few dozen values, comparing all with all vectorises; sorting does not.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn up_to<S: Simd>(simd: S, values: &[f32], weights: &[f32], of: &[Lanes; ROOM / LANES]) -> [Lanes; ROOM / LANES] {
     let (of, zero) = (of.map(|of| f32x8::load_array(simd, of)), f32x8::splat(simd, 0.0));
     let mut sums = [zero; ROOM / LANES];
@@ -197,7 +189,6 @@ dispatch!(
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
 fn joins_body(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     let last = out.len() - 1;
     for (x, ((o, &lo), &hi)) in out.iter_mut().zip(lo).zip(hi).enumerate() {

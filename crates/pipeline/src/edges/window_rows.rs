@@ -59,7 +59,6 @@ impl Band {
 
     /// The columns around `x` in row `y`, which both lie in the photo.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
     pub fn strip(&self, x: usize, y: usize) -> Strip {
         let at = (y - self.rows.start) * self.stride + x;
         let lanes = |plane: &[f32]| {
@@ -71,7 +70,6 @@ impl Band {
 
     /// Colour of a pixel.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
     pub fn colour(&self, x: usize, y: usize) -> [f32; 3] {
         let at = (y - self.rows.start) * self.stride + REACH + x;
         std::array::from_fn(|c| self.colour[c][at])
@@ -79,7 +77,6 @@ impl Band {
 
     /// δ of a pixel.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
     pub fn delta(&self, x: usize, y: usize) -> f32 {
         self.delta[(y - self.rows.start) * self.stride + REACH + x]
     }
@@ -94,7 +91,6 @@ const SERIES: [f32; 7] = [1.540_353e-4, 1.333_355_8e-3, 9.618_129e-3, 5.550_411e
 ///
 /// The polynomial is the Taylor series of `2^f` about 0, with `f` in −½ to ½.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 pub(super) fn exp2<S: Simd>(x: f32x8<S>) -> f32x8<S> {
     const LEAST: u32 = (ROUND - 126.0).to_bits();
     let whole = x + ROUND;

@@ -98,19 +98,12 @@ pub struct Session {
 }
 
 impl Session {
-    /// Loads a network from the bytes of an ONNX file. `name` appears in errors and names the thread.
+    /// Loads a network from the bytes of an ONNX file and of the files of weights that it names. `name` appears in errors and names the
+    /// thread.
     ///
     /// # Errors
-    /// [`OnnxError::Library`] without ONNX Runtime, [`OnnxError::Model`] if the file cannot be used.
-    pub fn load(name: &str, model: &[u8], config: &Config) -> Result<Self, OnnxError> {
-        Self::load_with(name, model, &[], config)
-    }
-
-    /// Like [`Self::load`], with the files of weights that the ONNX file names.
-    ///
-    /// # Errors
-    /// See [`Self::load`].
-    pub fn load_with(name: &str, model: &[u8], external_data: &[ExternalData], config: &Config) -> Result<Self, OnnxError> {
+    /// [`OnnxError::Library`] without ONNX Runtime, [`OnnxError::Model`] if a file cannot be used.
+    pub fn load(name: &str, model: &[u8], external_data: &[ExternalData], config: &Config) -> Result<Self, OnnxError> {
         let reason = |reason: String| OnnxError::Model { name: name.to_owned(), reason };
         let session = build(model, external_data, config).map_err(|e| match e {
             Fault::Library(e) => e,

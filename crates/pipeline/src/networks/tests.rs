@@ -7,24 +7,21 @@ const HALF: &[u8] = include_bytes!("../../../../tests/onnx/half.onnx");
 const INTEGERS: &[u8] = include_bytes!("../../../../tests/onnx/integers.onnx");
 
 /// Whether ONNX Runtime is available.
-fn has_onnx() -> bool {
-    tmpi_testing::Need::Onnx.or_skip(available()).is_some()
+fn onnx() -> Option<()> {
+    tmpi_testing::Need::Onnx.or_skip(available())
 }
 
 fn rows(n: usize, f: impl Fn(usize) -> f32) -> Tensor {
     Tensor { shape: vec![n, 3], data: (0..n * 3).map(f).collect() }
 }
 
-fn load() -> Session {
-    Session::load("sum", SUM_DIFFERENCE, &Config::default()).unwrap()
+fn load() -> Option<Session> {
+    onnx().map(|()| Session::load("sum", SUM_DIFFERENCE, &[], &Config::default()).unwrap())
 }
 
 #[test]
 fn runs_with_inputs_and_outputs_in_the_graphs_order() {
-    if !has_onnx() {
-        return;
-    }
-    let session = load();
+    let Some(session) = load() else { return };
     assert_eq!(session.inputs().iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["a", "b"]);
     assert_eq!(session.outputs()[1], TensorInfo { name: "difference".into(), shape: vec![-1, 3] });
     let out = session.run(vec![rows(2, |i| i as f32), rows(2, |_| 10.0)]).unwrap();
@@ -34,19 +31,15 @@ fn runs_with_inputs_and_outputs_in_the_graphs_order() {
 
 #[test]
 fn nan_and_infinity_pass_through_unharmed() {
-    if !has_onnx() {
-        return;
-    }
-    let out = load().run(vec![rows(1, |i| [f32::NAN, f32::INFINITY, 1.0][i]), rows(1, |_| 1.0)]).unwrap();
+    let Some(session) = load() else { return };
+    let out = session.run(vec![rows(1, |i| [f32::NAN, f32::INFINITY, 1.0][i]), rows(1, |_| 1.0)]).unwrap();
     assert!(out[0].data[0].is_nan() && out[0].data[1].is_infinite() && (out[0].data[2] - 2.0).abs() < f32::EPSILON);
 }
 
 #[test]
 fn half_precision_networks_take_and_return_32_bits() {
-    if !has_onnx() {
-        return;
-    }
-    let session = Session::load("half", HALF, &Config::default()).unwrap();
+    let Some(()) = onnx() else { return };
+    let session = Session::load("half", HALF, &[], &Config::default()).unwrap();
     assert_eq!(session.inputs(), [TensorInfo { name: "a".into(), shape: vec![-1, 3] }]);
     // a tenth is rounded to 11 bits, 1e6 is beyond 16-bit floats
     let out = session.run(vec![rows(1, |i| [0.1, 1e6, -2.0][i])]).unwrap();
@@ -56,10 +49,7 @@ fn half_precision_networks_take_and_return_32_bits() {
 
 #[test]
 fn errors_name_wrong_inputs() {
-    if !has_onnx() {
-        return;
-    }
-    let session = load();
+    let Some(session) = load() else { return };
     let good = || rows(2, |_| 0.0);
     let bad = [
         (vec![good()], "1 inputs given, 2 expected"),
@@ -81,31 +71,25 @@ fn errors_name_wrong_inputs() {
 
 #[test]
 fn unusable_models_are_errors() {
-    if !has_onnx() {
-        return;
-    }
+    let Some(()) = onnx() else { return };
     for (bytes, text) in [(b"".as_slice(), ""), (b"no model", ""), (&SUM_DIFFERENCE[..60], ""), (INTEGERS, "16-bit floats")] {
-        let error = Session::load("bad", bytes, &Config::default()).err().unwrap();
+        let error = Session::load("bad", bytes, &[], &Config::default()).err().unwrap();
         assert!(matches!(&error, OnnxError::Model { reason, .. } if reason.contains(text)), "{error}");
     }
 }
 
 #[test]
 fn a_missing_provider_is_skipped_only_if_the_processor_is_listed() {
-    if !has_onnx() {
-        return;
-    }
-    let with = |providers: Vec<Provider>| Session::load("sum", SUM_DIFFERENCE, &Config { providers, threads: 1 });
+    let Some(()) = onnx() else { return };
+    let with = |providers: Vec<Provider>| Session::load("sum", SUM_DIFFERENCE, &[], &Config { providers, threads: 1 });
     assert!(with(vec![Provider::DirectMl, Provider::Cpu]).is_ok());
     assert!(matches!(with(vec![Provider::DirectMl]), Err(OnnxError::Model { .. })));
 }
 
 #[test]
 fn many_callers_share_one_worker() {
-    if !has_onnx() {
-        return;
-    }
-    let session: Arc<dyn Network> = Arc::new(load());
+    let Some(session) = load() else { return };
+    let session: Arc<dyn Network> = Arc::new(session);
     std::thread::scope(|scope| {
         for t in 0..8 {
             let session = Arc::clone(&session);

@@ -28,7 +28,7 @@ pub(super) fn jpeg(bytes: &[u8], limits: &Limits) -> Result<Jpeg, PhotoError> {
     let jpeg = jpeg_metadata::scan(bytes)?;
     limits.check_size(jpeg.width, jpeg.height)?;
     jpeg.check_data()?;
-    limits.check_memory(jpeg.memory())?;
+    limits.check_memory(jpeg.memory)?;
     Ok(jpeg)
 }
 

@@ -1,7 +1,6 @@
 //! The frame header of a JPEG: size, components, and which coefficients its scans have delivered.
 
-use super::PhotoError;
-use super::segments::broken;
+use super::{PhotoError, broken};
 
 /// Colour model of a file's components.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,8 +34,8 @@ pub(super) struct Frame {
     components: u8,
     pub progressive: bool,
     /// Some scan holds fewer components than the frame.
-    pub one_by_one: bool,
-    pub coefficient_bytes: u64,
+    one_by_one: bool,
+    coefficient_bytes: u64,
     /// Blocks of the picture, without those that only pad the last minimum coded units.
     pub blocks: u64,
     /// Identifiers of the components.
@@ -114,6 +113,13 @@ impl Frame {
             }
         }
         Ok(uses)
+    }
+
+    /// Memory that decoding takes, in bytes, including the result. A decoder has to keep all coefficients if scans refine the picture or
+    /// hold single components.
+    pub(super) fn memory(&self) -> u64 {
+        let coefficients = if self.progressive || self.one_by_one { self.coefficient_bytes } else { 0 };
+        coefficients + u64::from(self.width) * u64::from(self.height) * 3
     }
 
     pub(super) fn is_complete(&self) -> bool {

@@ -1,8 +1,8 @@
 //! Walks the segments of a JPEG file: reads its size and metadata, and writes the file again without metadata.
 
 use super::jpeg_frame::{Colour, Frame, Layout, is_frame, tables};
-use super::segments::{broken, entropy_end, next_marker, segment};
-use super::{Head, Limits, PhotoError};
+use super::segments::{entropy_end, next_marker, segment};
+use super::{Head, Limits, PhotoError, broken};
 
 /// What the segments of a JPEG file say, and the file reduced to what a decoder needs.
 #[derive(Debug)]
@@ -11,8 +11,8 @@ pub(super) struct Jpeg {
     pub width: u32,
     pub height: u32,
     pub colour: Colour,
-    /// Bytes of DCT coefficients if the decoder has to keep all of them (progressive, or a scan per component); else 0.
-    pub coefficient_bytes: u64,
+    /// Memory that decoding takes, in bytes, including the result.
+    pub memory: u64,
     /// Bytes of entropy-coded data in all scans.
     data: u64,
     /// Fewest bytes that can code the frame's blocks.
@@ -43,11 +43,6 @@ pub(super) struct Jpeg {
 pub(super) const MAX_SCANS: usize = 100;
 
 impl Jpeg {
-    /// Memory that decoding takes, in bytes, including the result.
-    pub(super) fn memory(&self) -> u64 {
-        self.coefficient_bytes + u64::from(self.width) * u64::from(self.height) * 3
-    }
-
     /// Refuses a file with too little data for its frame: a block takes at least two bits, or one in a progressive file.
     pub(super) fn check_data(&self) -> Result<(), PhotoError> {
         if self.data < self.least_data {
@@ -117,8 +112,7 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
             let frame = Frame::read(marker, body)?;
             limits.check_size(frame.width, frame.height)?;
             // whether a scan holds all components is only known later
-            let coefficients = if frame.progressive { frame.coefficient_bytes } else { 0 };
-            limits.check_memory(coefficients.saturating_add(u64::from(frame.width) * u64::from(frame.height) * 3))?;
+            limits.check_memory(frame.memory())?;
             return Ok(Head::Size(frame.width, frame.height));
         }
         at = end;
@@ -283,7 +277,7 @@ impl Walk<'_> {
             width: frame.width,
             height: frame.height,
             colour,
-            coefficient_bytes: if frame.progressive || frame.one_by_one { frame.coefficient_bytes } else { 0 },
+            memory: frame.memory(),
             data: self.data as u64,
             least_data: (frame.blocks * if frame.progressive { 1 } else { 2 }) / 8,
             height_at: self.height_at,
@@ -306,16 +300,4 @@ fn push(out: &mut Vec<u8>, marker: u8, body: &[u8]) {
     out.extend_from_slice(&[0xFF, marker]);
     out.extend_from_slice(&length.to_be_bytes());
     out.extend_from_slice(body);
-}
-
-#[cfg(test)]
-pub(super) mod tests {
-    use super::*;
-
-    /// Decoder memory, in bytes, for a frame with this marker and header.
-    pub fn memory_of(marker: u8, body: &[u8]) -> u64 {
-        let frame = Frame::read(marker, body).unwrap();
-        let coefficients = if frame.progressive { frame.coefficient_bytes } else { 0 };
-        coefficients + u64::from(frame.width) * u64::from(frame.height) * 3
-    }
 }

@@ -28,9 +28,7 @@ impl Limits {
     pub const DECODER_MEMORY: u64 = 512 << 20;
     /// No limits, for data that was checked before.
     pub(crate) const NONE: Self = Self { bytes: usize::MAX, pixels: u64::MAX, side: u32::MAX, decoder_memory: u64::MAX, memory: u64::MAX };
-}
 
-impl Limits {
     /// Checks the size of a file.
     pub(crate) fn check_bytes(&self, bytes: usize) -> Result<(), PhotoError> {
         if bytes > self.bytes { Err(PhotoError::TooManyBytes { bytes, limit: self.bytes }) } else { Ok(()) }

@@ -64,7 +64,7 @@ fn memory_is_checked_before_decoding_and_fifty_megapixels_of_any_kind_pass() {
     let memory = |sampling: u8, marker: u8| {
         let parts: Vec<u8> = (1..=3).flat_map(|id| [id, if id == 1 { sampling } else { 0x11 }, 0]).collect();
         let head = [&[8][..], &6000u16.to_be_bytes(), &8192u16.to_be_bytes(), &[3]].concat();
-        jpeg_metadata::tests::memory_of(marker, &[head, parts].concat())
+        jpeg_frame::Frame::read(marker, &[head, parts].concat()).unwrap().memory()
     };
     for (sampling, marker) in [(0x11, 0xC0), (0x22, 0xC2), (0x21, 0xC2), (0x11, 0xC2)] {
         let bytes = memory(sampling, marker);

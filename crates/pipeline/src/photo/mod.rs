@@ -53,6 +53,7 @@ pub use resample::{Filter, reduced_size, resample, resample_by, resize};
 pub use resample_opencv::resize_opencv;
 pub use resample_pillow::resample_bytes;
 pub use taps::Taps;
+pub(crate) use taps::{around, bilinear};
 
 use self::colour::Profile;
 use self::exif::Facts;

@@ -7,9 +7,6 @@ use super::{Taps, resample_by};
 /// Resamples a row-major picture from size `from` to size `to` (width, height): the mean over the area of a result's pixel if no side grows
 /// (`INTER_AREA`), else a cubic over four pixels (`INTER_CUBIC`). Both sizes are at least 1×1 and `source` has `from.0 · from.1` pixels.
 pub fn resize_opencv(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32)) -> Vec<[u8; 3]> {
-    if from == to {
-        return source.to_vec();
-    }
     let (from_w, from_h, to_w, to_h) = (from.0 as usize, from.1 as usize, to.0 as usize, to.1 as usize);
     let taps = |across: &Taps, down: &Taps, round: fn(f32) -> f32| {
         // `as` saturates

@@ -13,8 +13,8 @@ const BITS: u32 = 22;
 struct Weights(Vec<(usize, Vec<i32>)>);
 
 impl Weights {
-    /// `None` if the size stays the same: Pillow skips such an axis.
-    fn new(from: usize, to: usize, filter: Filter) -> Option<Self> {
+    /// If the size stays the same, each sample is its own: Pillow skips such an axis.
+    fn new(from: usize, to: usize, filter: Filter) -> Self {
         let ratio = from as f64 / to as f64;
         let stretch = ratio.max(1.0);
         let reach = filter.support() * stretch;
@@ -29,7 +29,7 @@ impl Weights {
             // `round` rounds halves away from 0
             (first, weights.into_iter().map(|w| (w / norm * f64::from(1 << BITS)).round() as i32).collect())
         };
-        (from != to).then(|| Self((0..to).map(tap).collect()))
+        Self((0..to).map(tap).collect())
     }
 }
 
@@ -52,18 +52,11 @@ pub fn resample_bytes(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32), filt
     let down = Weights::new(from_h, to_h, filter);
     let mut out = vec![[0; 3]; to_w * to_h];
     out.par_chunks_mut(BAND * to_w).enumerate().for_each(|(band, out)| {
-        let rows = band * BAND..band * BAND + out.len() / to_w;
-        let Some(down) = &down else {
-            for (out, y) in out.chunks_exact_mut(to_w).zip(rows) {
-                row(&source[y * from_w..(y + 1) * from_w], across.as_ref(), out);
-            }
-            return;
-        };
-        let taps = &down.0[rows];
+        let taps = &down.0[band * BAND..band * BAND + out.len() / to_w];
         let (first, end) = (taps.iter().map(|t| t.0).min().unwrap_or(0), taps.iter().map(|t| t.0 + t.1.len()).max().unwrap_or(0));
         let mut narrow = vec![[0; 3]; (end - first) * to_w];
         for (narrow, y) in narrow.chunks_exact_mut(to_w).zip(first..end) {
-            row(&source[y * from_w..(y + 1) * from_w], across.as_ref(), narrow);
+            row(&source[y * from_w..(y + 1) * from_w], &across, narrow);
         }
         let mut sums = vec![0i32; 3 * to_w];
         for (out, (at, weights)) in out.chunks_exact_mut(to_w).zip(taps) {
@@ -82,11 +75,7 @@ pub fn resample_bytes(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32), filt
 }
 
 /// Resamples one row horizontally.
-fn row(source: &[[u8; 3]], across: Option<&Weights>, out: &mut [[u8; 3]]) {
-    let Some(across) = across else {
-        out.copy_from_slice(source);
-        return;
-    };
+fn row(source: &[[u8; 3]], across: &Weights, out: &mut [[u8; 3]]) {
     for (o, (at, weights)) in out.iter_mut().zip(&across.0) {
         let mut sums = [HALF; 3];
         for (&w, p) in weights.iter().zip(&source[*at..]) {

@@ -1,10 +1,6 @@
 //! Reads the segments of a JPEG file one after another.
 
-use super::PhotoError;
-
-pub(super) fn broken(what: &str) -> PhotoError {
-    PhotoError::Broken(what.to_owned())
-}
+use super::{PhotoError, broken};
 
 /// The first marker at or after `at`, and the offset after it. Skips bytes between segments, as libjpeg does.
 pub(super) fn next_marker(bytes: &[u8], mut at: usize) -> Result<(u8, usize), PhotoError> {

@@ -63,6 +63,21 @@ impl Taps {
     }
 }
 
+/// The samples before and after position `at`, the same one at the border and beyond it, and the share of the latter. Sample 0 of the `n`
+/// is at 0.
+#[inline]
+pub(crate) fn around(at: f64, n: usize) -> (usize, usize, f64) {
+    let at = at.clamp(0.0, (n - 1) as f64);
+    (at as usize, (at as usize + 1).min(n - 1), at.fract())
+}
+
+/// The value at a position between samples, by bilinear interpolation of those [`around`] it.
+pub(crate) fn bilinear((x, y): (f64, f64), (w, h): (usize, usize), value: impl Fn(usize, usize) -> f64) -> f64 {
+    let ((x0, x1, fx), (y0, y1, fy)) = (around(x, w), around(y, h));
+    let line = |y: usize| value(x0, y) * (1.0 - fx) + value(x1, y) * fx;
+    line(y0) * (1.0 - fy) + line(y1) * fy
+}
+
 /// The four source samples, clamped to the border, that make up sample `i` of `to`, and their weights.
 fn cubic(from: usize, to: usize, i: usize) -> [(usize, f64); 4] {
     // in single precision, as in OpenCV and PyTorch

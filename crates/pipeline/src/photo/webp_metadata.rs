@@ -1,6 +1,6 @@
 //! Walks the chunks of a WebP file: reads its size and metadata, and writes the file again without metadata.
 
-use super::{Head, Limits, PhotoError};
+use super::{Head, Limits, PhotoError, broken};
 
 /// What the chunks of a WebP file say, and the file reduced to what a decoder needs.
 #[derive(Debug)]
@@ -43,10 +43,6 @@ const ANIMATED: u8 = 0x02;
 const ALPHA: u8 = 0x10;
 /// Flag of a frame that replaces what is below.
 const UNBLENDED: u8 = 0x02;
-
-fn broken(what: &str) -> PhotoError {
-    PhotoError::Broken(what.to_owned())
-}
 
 fn u24(b: &[u8]) -> u32 {
     u32::from_le_bytes([b[0], b[1], b[2], 0])

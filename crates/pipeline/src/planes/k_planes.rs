@@ -149,8 +149,8 @@ struct Search<'a> {
 impl<'a> Search<'a> {
     fn new(s: &'a Samples, one: &Plane) -> Self {
         let [a, b, c] = [one.a as f32, one.b as f32, one.c as f32];
-        let residual: Vec<f32> = s.deltas().iter().zip(s.us()).zip(s.vs()).map(|((d, u), v)| d - (a + b * u + c * v)).collect();
-        let histograms = [s.deltas(), &residual].map(|values| Histogram::new(values, s.weights(), k_means::BINS));
+        let residual: Vec<f32> = s.delta.iter().zip(&s.u).zip(&s.v).map(|((d, u), v)| d - (a + b * u + c * v)).collect();
+        let histograms = [&s.delta, &residual].map(|values| Histogram::new(values, &s.weight, k_means::BINS));
         Self {
             s,
             one: *one,
@@ -171,7 +171,7 @@ impl<'a> Search<'a> {
         let mut best = (f64::INFINITY, last.to_vec());
         for start in 0..5 {
             match start {
-                0 => label_nearest(s.deltas(), &k_means::centres(self.histograms[0].as_ref(), k), &mut self.labels),
+                0 => label_nearest(&s.delta, &k_means::centres(self.histograms[0].as_ref(), k), &mut self.labels),
                 1 => label_nearest(&self.residual, &k_means::centres(self.histograms[1].as_ref(), k), &mut self.labels),
                 2 => self.split_worst(last),
                 _ => self.voronoi(k),
@@ -205,7 +205,7 @@ impl<'a> Search<'a> {
         let s = self.s;
         self.clusters.clear();
         self.clusters.extend((0..k as u32).map(|j| (Moments::from(kernel::sums(s.columns(), &self.labels, j)), 0)));
-        for (&l, &w) in self.labels.iter().zip(s.weights()) {
+        for (&l, &w) in self.labels.iter().zip(&s.weight) {
             self.clusters[l as usize].1 += u32::from(w > 0.0);
         }
     }
@@ -215,7 +215,7 @@ impl<'a> Search<'a> {
         let s = self.s;
         for &(i, old) in &self.moved {
             let i = i as usize;
-            let (u, v, d, w) = (f64::from(s.us()[i]), f64::from(s.vs()[i]), f64::from(s.deltas()[i]), f64::from(s.weights()[i]));
+            let (u, v, d, w) = (f64::from(s.u[i]), f64::from(s.v[i]), f64::from(s.delta[i]), f64::from(s.weight[i]));
             if w <= 0.0 {
                 continue;
             }
@@ -237,12 +237,12 @@ impl<'a> Search<'a> {
         let s = self.s;
         s.assign(last, &mut self.labels, &mut self.error);
         let mut cost = vec![0f32; last.len()];
-        for ((&l, e), w) in self.labels.iter().zip(&self.error).zip(s.weights()) {
+        for ((&l, e), w) in self.labels.iter().zip(&self.error).zip(&s.weight) {
             cost[l as usize] += w * e * e;
         }
         let worst = (0..last.len()).max_by(|&a, &b| cost[a].total_cmp(&cost[b])).unwrap_or(0);
         let [a, b, c] = [last[worst].a as f32, last[worst].b as f32, last[worst].c as f32];
-        let pixels = s.deltas().iter().zip(s.us()).zip(s.vs());
+        let pixels = s.delta.iter().zip(&s.u).zip(&s.v);
         for (l, ((d, u), v)) in self.labels.iter_mut().zip(pixels) {
             if *l == worst as u32 && *d > a + b * u + c * v {
                 *l = last.len() as u32;
@@ -256,7 +256,7 @@ impl<'a> Search<'a> {
         self.error.clear();
         self.error.resize(self.labels.len(), f32::INFINITY);
         for (j, (x, y)) in (0..).zip(places) {
-            let pixels = self.s.us().iter().zip(self.s.vs());
+            let pixels = self.s.u.iter().zip(&self.s.v);
             for ((l, e), (u, v)) in self.labels.iter_mut().zip(&mut self.error).zip(pixels) {
                 let new = (x - u) * (x - u) + (y - v) * (y - v);
                 let better = new < *e;

@@ -35,7 +35,6 @@ dispatch!(
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn nearest_body(planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32], moved: &mut Vec<(u32, u32)>) -> f64 {
     let mut total = 0f64;
     let mut part = [0f32; LANES];
@@ -75,7 +74,6 @@ fn nearest_body(planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut 
 
 /// Absolute errors and labels of eight samples at their nearest planes.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn nearest_of(planes: &[[f32; 3]], u: &[f32; LANES], v: &[f32; LANES], d: &[f32; LANES]) -> ([f32; LANES], [u32; LANES]) {
     let (mut best, mut closest) = ([f32::INFINITY; LANES], [0u32; LANES]);
     for (j, &[a, b, c]) in (0u32..).zip(planes) {
@@ -88,7 +86,6 @@ fn nearest_of(planes: &[[f32; 3]], u: &[f32; LANES], v: &[f32; LANES], d: &[f32;
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn sums_body(s: Columns, label: &[u32], j: u32) -> Sums {
     let mut acc = [[0f32; LANES]; 9];
     let (u, u_rest) = s.u.as_chunks::<LANES>();
@@ -110,7 +107,6 @@ fn sums_body(s: Columns, label: &[u32], j: u32) -> Sums {
 
 /// Adds eight samples. The compiler turns one loop per sum into one vector instruction.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn add(acc: &mut [[f32; LANES]; 9], u: [f32; LANES], v: [f32; LANES], d: [f32; LANES], w: [f32; LANES]) {
     let (wu, wv) = (lanes(|i| w[i] * u[i]), lanes(|i| w[i] * v[i]));
     let terms = [
@@ -130,7 +126,6 @@ fn add(acc: &mut [[f32; LANES]; 9], u: [f32; LANES], v: [f32; LANES], d: [f32; L
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn lanes(f: impl Fn(usize) -> f32) -> [f32; LANES] {
     let mut out = [0.0; LANES];
     for (i, o) in out.iter_mut().enumerate() {

@@ -25,10 +25,7 @@ pub fn smooth_labels(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f
     let h = n / w;
     let some: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
     let scale = (1.0 / target) as f32;
-    let error = |i: usize, l: u8| {
-        let [a, b, c] = some[l as usize];
-        ((a + b * s.us()[i] + c * s.vs()[i] - s.deltas()[i]) * scale).abs()
-    };
+    let error = |i: usize, l: u8| (s.error(i, some[usize::from(l)]) * scale).abs();
     // rows that changed in the last pass and in this one: a pixel keeps its label if no neighbour changed
     let (mut before, mut now) = (vec![true; h], vec![false; h]);
     for _ in 0..PASSES {

@@ -1,6 +1,5 @@
 //! Per-tile planes: weighted clustering of disparity into the fewest planes that meet an error target (paper, section 3.2).
 
-mod evenly_spaced;
 mod exact_k_means;
 mod k_means;
 mod k_planes;
@@ -116,27 +115,35 @@ fn place_tile_rounded(samples: &Samples, placement: &Placement) -> Rounded {
     if placement.method == Method::Slanted {
         return finish(samples, k_planes::fit(samples, most, placement.target), placement);
     }
-    let histogram = Histogram::new(samples.deltas(), samples.weights(), k_means::BINS);
+    let histogram = Histogram::new(&samples.delta, &samples.weight, k_means::BINS);
     let mut table = None;
     let mut run = |n: usize| -> Vec<Plane> {
         let centres = match placement.method {
-            Method::Linear => evenly_spaced::centres(samples, n),
-            Method::Optimal => table.get_or_insert_with(|| ClusterTable::new(samples.deltas(), samples.weights(), most)).centres(n),
+            Method::Linear => evenly_spaced(samples, n),
+            Method::Optimal => table.get_or_insert_with(|| ClusterTable::new(&samples.delta, &samples.weight, most)).centres(n),
             Method::Lloyd | Method::Slanted => k_means::centres(histogram.as_ref(), n),
         };
         centres.into_iter().map(Plane::fronto_parallel).collect()
     };
     let Some(target) = placement.target else { return finish(samples, run(most), placement) };
-    let mut best = run(1);
+    let mut best = Vec::new();
     for n in 1..=most {
-        if n > 1 {
-            best = run(n);
-        }
+        best = run(n);
         if samples.error_p99(&best) <= target {
             break;
         }
     }
     finish(samples, best, placement)
+}
+
+/// The usual baseline: `n` evenly spaced disparities from the tile's least to its greatest, both included. Their midpoint alone if both are
+/// equal or `n` is below 2; 0 without samples.
+fn evenly_spaced(s: &Samples, n: usize) -> Vec<f64> {
+    let (lo, hi) = s.delta.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), &d| (lo.min(f64::from(d)), hi.max(f64::from(d))));
+    if lo >= hi || n < 2 {
+        return vec![if lo.is_finite() { f64::midpoint(lo, hi) } else { 0.0 }];
+    }
+    (0..n).map(|i| lo + (hi - lo) * i as f64 / (n - 1) as f64).collect()
 }
 
 /// Rounds planes to the container's grid of coefficients, sorts them, labels the pixels and drops planes without pixels.

@@ -4,13 +4,17 @@ use super::MAX_PLANES;
 use super::kernel::{self, Columns};
 use tmpi_core::{DisparityMap, Grid, Plane};
 
-/// The pixels of one tile as columns: position in half tiles from its centre, disparity and weight. Reused from tile to tile.
+/// The pixels of one tile as columns. Reused from tile to tile.
 #[derive(Clone, Debug, Default)]
 pub struct Samples {
-    u: Vec<f32>,
-    v: Vec<f32>,
-    delta: Vec<f32>,
-    weight: Vec<f32>,
+    /// Horizontal positions, in half tiles from the tile's centre.
+    pub u: Vec<f32>,
+    /// Vertical positions, in half tiles from the tile's centre.
+    pub v: Vec<f32>,
+    /// Disparities.
+    pub delta: Vec<f32>,
+    /// Weights.
+    pub weight: Vec<f32>,
     /// Width of the tile in pixels.
     pub width: usize,
 }
@@ -92,26 +96,6 @@ impl Samples {
         self.delta.is_empty()
     }
 
-    /// Disparities.
-    pub fn deltas(&self) -> &[f32] {
-        &self.delta
-    }
-
-    /// Weights.
-    pub fn weights(&self) -> &[f32] {
-        &self.weight
-    }
-
-    /// Horizontal positions, in half tiles from the tile's centre.
-    pub fn us(&self) -> &[f32] {
-        &self.u
-    }
-
-    /// Vertical positions, in half tiles from the tile's centre.
-    pub fn vs(&self) -> &[f32] {
-        &self.v
-    }
-
     /// The columns in the form that the kernels take.
     pub(super) fn columns(&self) -> Columns<'_> {
         Columns { u: &self.u, v: &self.v, d: &self.delta, w: &self.weight }
@@ -138,13 +122,13 @@ impl Samples {
     /// Absolute errors in δ of labelled pixels.
     pub fn errors(&self, planes: &[Plane], labels: &[u8]) -> Vec<f32> {
         let planes: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
-        let pixels = labels.iter().zip(&self.u).zip(&self.v).zip(&self.delta);
-        pixels
-            .map(|(((&l, u), v), d)| {
-                let [a, b, c] = planes[l as usize];
-                (a + b * u + c * v - d).abs()
-            })
-            .collect()
+        labels.iter().enumerate().map(|(i, &l)| self.error(i, planes[usize::from(l)]).abs()).collect()
+    }
+
+    /// Error in δ of pixel `i` on a plane.
+    #[inline]
+    pub(super) fn error(&self, i: usize, [a, b, c]: [f32; 3]) -> f32 {
+        a + b * self.u[i] + c * self.v[i] - self.delta[i]
     }
 
     /// 99th percentile of the absolute error in δ to the nearest plane.

@@ -58,10 +58,7 @@ pub fn place_tile_from(samples: &Samples, placement: &Placement, last: &Tile) ->
 fn steady(s: &Samples, planes: &[Plane], last: &[u8], nearest: &[u32], target: f64) -> Vec<u8> {
     let some: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
     let scale = (1.0 / target.max(f64::from(f32::MIN_POSITIVE))) as f32;
-    let squared = |i: usize, l: usize| {
-        let [a, b, c] = some[l];
-        ((a + b * s.us()[i] + c * s.vs()[i] - s.deltas()[i]) * scale).powi(2)
-    };
+    let squared = |i: usize, l: usize| (s.error(i, some[l]) * scale).powi(2);
     let pixel = |(i, (&was, &near)): (usize, (&u8, &u32))| {
         let stays = usize::from(was) < some.len() && squared(i, was.into()) <= squared(i, near as usize) + MARGIN;
         if stays { was } else { near as u8 }

@@ -1,6 +1,6 @@
 //! Runs all stages on one photo.
 
-use super::stages::{Denoise, Depth, Encode, Layers, Planes, Prepare, Refine, Snap, Source, Strokes, Verify};
+use super::stages::{self, Source};
 use super::{Context, Made, MakeError, Models, Options, Sink, Sizes};
 use crate::photo::Limits;
 use crate::stereo::Stereo;
@@ -25,17 +25,17 @@ pub fn make(
     let source = Source::choose(photo, depth, &mut job)?;
     job.sizes = Some(Sizes::of(photo, depth, options, limits)?);
     let estimated = matches!(source, Source::Network) && options.stereo != Stereo::Rgbd;
-    let mut prepared = job.run(&mut Prepare, (photo, estimated))?;
+    let mut prepared = stages::prepare(&mut job, photo, estimated)?;
     let source = source.or_half(prepared.second_half.take(), options.stereo);
-    let map = job.run(&mut Depth::default(), (&prepared.photo, source))?;
-    let map = job.run(&mut Denoise, (&prepared.photo, map))?;
+    let map = stages::find_disparity(&mut job, &prepared.photo, source, None)?;
+    let map = stages::remove_noise(&mut job, &prepared.photo, map)?;
     let before_strokes = (!options.strokes.is_empty()).then(|| strokes::to_keep(&map.delta));
-    let map = if options.strokes.is_empty() { map } else { job.run(&mut Strokes, (&prepared.photo, map))? };
-    let map = job.run(&mut Snap, (&prepared.photo, map))?;
-    let placed = job.run(&mut Planes::default(), (&prepared, &map))?;
-    let layered = job.run(&mut Layers, (&mut prepared, placed, &map.delta))?;
-    let layered = job.run(&mut Refine, layered)?;
-    let encoded = job.run(&mut Encode, layered)?;
-    job.run(&mut Verify, (&prepared.photo, &encoded))?;
+    let map = if options.strokes.is_empty() { map } else { stages::apply_strokes(&mut job, &prepared.photo, map)? };
+    let map = stages::snap_ramps(&mut job, &prepared.photo, map)?;
+    let placed = stages::place_planes(&mut job, &prepared, &map)?;
+    let layered = stages::make_layers(&mut job, &mut prepared, placed, &map.delta)?;
+    let layered = stages::refine_layers(&mut job, layered)?;
+    let encoded = stages::encode_scene(&mut job, layered)?;
+    stages::verify_container(&mut job, &prepared.photo, &encoded)?;
     Ok(Made { container: encoded.container, report: job.finish(), disparity: map.delta, before_strokes })
 }

@@ -34,7 +34,7 @@ pub use options::{Denoise, Options, PlaneCount, Switch, TileSize};
 pub use parallax_error::{Parallax, TileError};
 pub use progress::{Progress, Silent, Sink};
 pub use report::{Budget, Bytes, ErrorFigures, Input, InputDepth, LeftOut, ParallaxShift, PlaneError, PruneError, Report, StageTime};
-pub use stage::{Context, Stage};
+pub use stage::{Begun, Context};
 pub use stages::STAGES;
 
 /// Networks of the pipeline, loaded once per process and shared by all photos.

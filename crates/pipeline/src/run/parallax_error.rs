@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use tmpi_core::{DisparityMap, Geometry, Intrinsics, Plane, Rect, Tile, TileFrame, ViewBox};
 
 use super::report::ParallaxShift;
+use crate::photo::bilinear;
 
 /// Most pixels that [`Parallax::resampled`] compares.
 const SAMPLES: usize = 1 << 16;
@@ -152,14 +153,7 @@ fn moved(each: impl Iterator<Item = [f64; 2]>, count: usize, sampled: bool) -> P
 /// δ at a position in pixels, by bilinear interpolation.
 fn at(map: &DisparityMap, (x, y): (f64, f64)) -> f64 {
     let (w, h) = (map.width as usize, map.height as usize);
-    let place = |p: f64, n: usize| {
-        let p = (p - 0.5).clamp(0.0, (n - 1) as f64);
-        (p as usize, (p as usize + 1).min(n - 1), p.fract())
-    };
-    let ((x0, x1, fx), (y0, y1, fy)) = (place(x, w), place(y, h));
-    let value = |x: usize, y: usize| f64::from(map.delta[y * w + x]);
-    let line = |y: usize| value(x0, y) * (1.0 - fx) + value(x1, y) * fx;
-    line(y0) * (1.0 - fy) + line(y1) * fy
+    bilinear((x - 0.5, y - 0.5), (w, h), |x, y| f64::from(map.delta[y * w + x]))
 }
 
 fn gcd(a: usize, b: usize) -> usize {
@@ -171,7 +165,7 @@ mod tests {
     use super::*;
     use crate::Options;
     use tmpi_core::{Camera, Grid, Pose, homography};
-    use tmpi_render::MotionRange;
+    use tmpi_render::{MotionRange, corners};
 
     const BOX: ViewBox = ViewBox { x: 0.12, y: 0.08, z: 0.06 };
 
@@ -199,9 +193,7 @@ mod tests {
         let m = movement();
         let k = m.intrinsics;
         for (place, a, b) in [((3.5, 20.5), 0.2, 0.9), ((99.5, 59.5), 1.0, 0.98), ((51.0, 29.0), 0.0, 1.0), ((20.5, 1.5), 0.5, 0.5)] {
-            let corners = (0..8).map(|i| {
-                let side = |bit: u32, v: f64| if i >> bit & 1 == 0 { v } else { -v };
-                let pose = Pose::at(side(0, BOX.x), side(1, BOX.y), side(2, BOX.z));
+            let corners = corners(&BOX, 0.0).map(|pose| {
                 let camera = Camera { pose, intrinsics: k, width: 100, height: 60 };
                 let shown = |delta: f64| {
                     let h = homography([0.0, 0.0, delta], &k, &camera);
@@ -242,14 +234,12 @@ mod tests {
                 let at = [f64::from(r.x + i % r.w) + 0.5, f64::from(r.y + i / r.w) + 0.5];
                 let (u, v) = ((at[0] - place.centre.0) / place.half, (at[1] - place.centre.1) / place.half);
                 let [a, b] = [before, &tile.planes].map(|planes| planes[usize::from(*label)].disparity(u, v));
-                let corner = |i: u32| {
-                    let side = |bit: u32, v: f64| if i >> bit & 1 == 0 { v } else { -v };
-                    let [x, y, z] = [side(0, BOX.x), side(1, BOX.y), side(2, BOX.z)];
+                let corner = |Pose { tx: x, ty: y, tz: z, .. }| {
                     let shown = |d: f64| [(at[0] - k.cx - k.fx * x * d) / (1.0 - z * d), (at[1] - k.cy - k.fy * y * d) / (1.0 - z * d)];
                     let (p, q) = (shown(a), shown(b));
                     (p[0] - q[0]).abs().max((p[1] - q[1]).abs())
                 };
-                most = (0..8).map(corner).fold(most, f64::max);
+                most = corners(&BOX, 0.0).map(corner).fold(most, f64::max);
             }
         }
         let found = Parallax::new(k, BOX).of_rounding(&geometry, &before);

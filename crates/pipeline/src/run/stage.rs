@@ -1,24 +1,16 @@
-//! The trait of all stages, and the context that runs them.
+//! The context of a photo's stages.
+
+use std::time::Instant;
 
 use super::{MakeError, Models, Options, Parallax, Progress, Report, Sink, Sizes, StageTime};
 use crate::photo::Limits;
 use crate::usage::{self, Clock};
 
-/// One step from a photo to its container. A stage owns the state that it keeps from one photo to the next, such as the last frame of a
-/// room.
-pub trait Stage {
-    /// Name in progress messages and reports, one of [`super::STAGES`].
-    const NAME: &'static str;
-    /// Input of the stage.
-    type Input<'a>;
-    /// Output of the stage.
-    type Output;
-
-    /// Runs the stage once.
-    ///
-    /// # Errors
-    /// [`MakeError`] if the input or an option is invalid or a network fails.
-    fn run(&mut self, input: Self::Input<'_>, context: &mut Context) -> Result<Self::Output, MakeError>;
+/// A stage that has begun.
+#[derive(Clone, Copy, Debug)]
+pub struct Begun {
+    name: &'static str,
+    clock: Clock,
 }
 
 /// State that all stages of a photo share.
@@ -35,6 +27,8 @@ pub struct Context<'a> {
     pub report: Report,
     /// Converts disparity errors to pixels; `None` before the camera is known, and in a room, which does not measure errors.
     pub movement: Option<Parallax>,
+    /// Milliseconds of the depth network alone; 0 if it did not run, or at the size for a photo.
+    pub network_ms: f64,
     sink: &'a dyn Sink,
     clock: Clock,
 }
@@ -42,21 +36,29 @@ pub struct Context<'a> {
 impl<'a> Context<'a> {
     /// Context of a photo before its first stage; starts the clock.
     pub fn new(models: &'a Models, limits: &'a Limits, options: &'a Options, sink: &'a dyn Sink) -> Self {
-        Self { models, limits, options, sizes: None, report: Report::default(), movement: None, sink, clock: Clock::start() }
+        let clock = Clock::start();
+        Self { models, limits, options, sizes: None, report: Report::default(), movement: None, network_ms: 0.0, sink, clock }
     }
 
-    /// Runs a stage: sends a progress message before it and adds its time to the report.
+    /// Begins a stage and sends a progress message. `name` is one of [`super::STAGES`], or that of a stage of a room.
     ///
     /// # Errors
-    /// [`MakeError::Cancelled`] if the caller cancelled, [`MakeError::Late`] if the deadline has passed, or the error of the stage.
-    pub fn run<S: Stage>(&mut self, stage: &mut S, input: S::Input<'_>) -> Result<S::Output, MakeError> {
-        self.check(S::NAME)?;
-        let step = super::STAGES.iter().position(|s| *s == S::NAME).map_or(0, |p| p as u32 + 1);
-        self.sink.progress(&Progress { stage: S::NAME, step, steps: super::STAGES.len() as u32, elapsed_ms: self.clock.ms() });
-        let clock = Clock::start();
-        let output = stage.run(input, self)?;
-        self.report.stages.push(StageTime { name: S::NAME.into(), ms: clock.ms(), cpu_ms: clock.cpu_ms() });
-        Ok(output)
+    /// [`MakeError::Cancelled`] if the caller cancelled, [`MakeError::Late`] if the deadline has passed.
+    pub fn begin(&self, name: &'static str) -> Result<Begun, MakeError> {
+        if self.sink.cancelled() {
+            return Err(MakeError::Cancelled);
+        }
+        if self.sink.deadline().is_some_and(|deadline| Instant::now() >= deadline) {
+            return Err(MakeError::Late { stage: name });
+        }
+        let step = super::STAGES.iter().position(|s| *s == name).map_or(0, |p| p as u32 + 1);
+        self.sink.progress(&Progress { stage: name, step, steps: super::STAGES.len() as u32, elapsed_ms: self.clock.ms() });
+        Ok(Begun { name, clock: Clock::start() })
+    }
+
+    /// Ends a stage: adds its time to the report.
+    pub fn end(&mut self, Begun { name, clock }: Begun) {
+        self.report.stages.push(StageTime { name: name.into(), ms: clock.ms(), cpu_ms: clock.cpu_ms() });
     }
 
     /// Milliseconds since the start.
@@ -72,15 +74,5 @@ impl<'a> Context<'a> {
         }
         self.report.peak_rss_bytes = usage::peak_rss_bytes();
         self.report
-    }
-
-    fn check(&self, stage: &'static str) -> Result<(), MakeError> {
-        if self.sink.cancelled() {
-            return Err(MakeError::Cancelled);
-        }
-        match self.sink.deadline() {
-            Some(deadline) if std::time::Instant::now() >= deadline => Err(MakeError::Late { stage }),
-            _ => Ok(()),
-        }
     }
 }

@@ -7,6 +7,7 @@ use tmpi_core::simd::dispatch;
 
 use super::census::{Grey, census};
 use super::fuse::Draw;
+use crate::photo::around;
 
 /// Side in pixels of the squares, each of which gives one corner to match.
 const CELL: usize = 8;
@@ -149,11 +150,7 @@ fn centred((x, y): (f64, f64), (w, h): (usize, usize)) -> (f64, f64) {
 /// Brightness at a position between pixels, bilinear; beyond the border, the outermost pixels repeat.
 fn at(picture: &Grey, (x, y): (f64, f64)) -> u8 {
     let (w, h) = (picture.width, picture.height);
-    let place = |p: f64, n: usize| {
-        let p = p.clamp(0.0, (n - 1) as f64);
-        (p as usize, (p as usize + 1).min(n - 1), p.fract())
-    };
-    let ((x0, x1, fx), (y0, y1, fy)) = (place(x, w), place(y, h));
+    let ((x0, x1, fx), (y0, y1, fy)) = (around(x, w), around(y, h));
     let value = |x: usize, y: usize| f64::from(picture.values[y * w + x]);
     let line = |y: usize| value(x0, y) + (value(x1, y) - value(x0, y)) * fx;
     (line(y0) + (line(y1) - line(y0)) * fy).round() as u8
@@ -271,7 +268,6 @@ fn nearest(words: (&[u64], &[u64]), (w, h): (usize, usize), (x, y): (usize, usiz
 
 /// Adds the census distances of one row of a window, for each position of the window in the other picture.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn distances(own: &[u64], other: &[u64], out: &mut [u32]) {
     let n = out.len();
     for (i, word) in own.iter().enumerate() {

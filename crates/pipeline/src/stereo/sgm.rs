@@ -151,7 +151,6 @@ struct Along<'a> {
 
 /// Census distances of a row for `n` disparities, starting at `first`.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn costs_of(own: &[u64], other: &[u64], first: i32, n: usize, out: &mut [u8]) {
     let w = own.len();
     for (x, (word, out)) in own.iter().zip(out.chunks_exact_mut(n)).enumerate() {
@@ -172,7 +171,6 @@ dispatch!(match_costs, costs_of, (own: &[u64], other: &[u64], first: i32, n: usi
 
 /// Penalty of a large step between pixels of these brightnesses.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn large(a: u8, b: u8) -> u8 {
     let even = u32::from(LARGE) * EDGE / (EDGE + u32::from(a.abs_diff(b)));
     (even as u8).max(SMALL + 2)
@@ -180,7 +178,6 @@ fn large(a: u8, b: u8) -> u8 {
 
 /// One step of a path: from the costs `from` (with guards), whose least is `least`, to `to`. Returns the least of `to`.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn step<'a>(costs: &'a [u8], from: &'a [u8], least: u8, large: u8, to: &mut [u8]) -> u8 {
     let n = costs.len();
     let far = least.saturating_add(large);
@@ -200,14 +197,12 @@ fn step<'a>(costs: &'a [u8], from: &'a [u8], least: u8, large: u8, to: &mut [u8]
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn least_of(costs: &[u8]) -> u8 {
     costs.iter().fold(u8::MAX, |a, b| a.min(*b))
 }
 
 /// Sets the sums to the costs of four paths, or adds them if `add` is set.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn add_paths(add: bool, sums: &mut [u16], paths: [&[u8]; 4]) {
     let [a, b, c, d] = paths.map(|path| path.as_chunks::<STEP>().0);
     for ((((sums, a), b), c), d) in sums.as_chunks_mut::<STEP>().0.iter_mut().zip(a).zip(b).zip(c).zip(d) {
@@ -220,7 +215,6 @@ fn add_paths(add: bool, sums: &mut [u16], paths: [&[u8]; 4]) {
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn aggregate_row(along: Along, before: &[Paths; 3], now: &mut [Paths; 3], mut sums: Option<&mut [u16]>) {
     let Along { w, n, back, own, above, costs } = along;
     let mut last = vec![u8::MAX; n + 2];
@@ -259,7 +253,6 @@ dispatch!(aggregate, aggregate_row, (along: Along<'_>, before: &[Paths; 3], now:
 /// Chooses the disparity with the least sum for each pixel of a row, if the other picture's pixel would choose the same and no other
 /// position matches as well.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn choose_row(sums: &[u16], range: Range, out: &mut [f32]) {
     let (w, n) = (out.len(), range.count);
     // for each position in the other picture: the least sum in the high bits, the index of its disparity in the low bits
@@ -291,7 +284,6 @@ dispatch!(choose, choose_row, (sums: &[u16], range: Range, out: &mut [f32]));
 /// Indices of the disparities, as begin and end, that lead into the other picture, `w` wide, from a pixel whose first disparity leads to
 /// `most`.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn inside(most: i64, w: usize, n: usize) -> (usize, usize) {
     ((most - w as i64 + 1).clamp(0, n as i64) as usize, (most + 1).clamp(0, n as i64) as usize)
 }

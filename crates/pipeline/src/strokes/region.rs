@@ -11,7 +11,7 @@ use std::collections::BinaryHeap;
 use tmpi_core::{DisparityMap, Photo};
 
 use super::Stroke;
-use crate::photo::{reduced_size, resize};
+use crate::photo::{bilinear, reduced_size, resize};
 
 /// Longest side, in pixels, of the picture in which outlines are found: finer than a hand draws, and a bound on time.
 pub(super) const SIDE: u32 = 640;
@@ -138,20 +138,12 @@ impl Region {
     }
 
     /// Share, 0 to 1, of a position between pixels of the reduced photo that is inside: bilinear, so that outlines on larger photos are
-    /// smooth.
+    /// smooth. What lies beyond the photo's border is like the border.
     fn share(&self, x: f64, y: f64) -> f64 {
-        // clipped to the photo, because what lies beyond its border is like the border
-        let corner = |v: f64, n: usize| {
-            let v = v.clamp(0.0, (n - 1) as f64);
-            (v.floor() as usize, (v.floor() as usize + 1).min(n - 1), v - v.floor())
-        };
-        let ((xa, xb, fx), (ya, yb, fy)) = (corner(x, self.whole.0), corner(y, self.whole.1));
-        let inside = |x: usize, y: usize| match (x.checked_sub(self.x0), y.checked_sub(self.y0)) {
+        bilinear((x, y), self.whole, |x, y| match (x.checked_sub(self.x0), y.checked_sub(self.y0)) {
             (Some(x), Some(y)) if x < self.width && y < self.height => f64::from(self.mask[y * self.width + x]),
             _ => 0.0,
-        };
-        let row = |y| inside(xa, y) * (1.0 - fx) + inside(xb, y) * fx;
-        row(ya) * (1.0 - fy) + row(yb) * fy
+        })
     }
 }
 

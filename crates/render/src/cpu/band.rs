@@ -57,7 +57,6 @@ impl Band {
     }
 
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
     fn walk<S: Simd>(&mut self, simd: S, draws: &[Draw], texels: &[[u8; 4]], first_row: u32, width: usize, out: &mut [[u8; 4]]) {
         let rows = (out.len() / width) as u32;
         for draw in draws {

@@ -25,7 +25,6 @@ impl<'a> Run<'a> {
     /// # Panics
     /// Panics if fewer than [`LANES`] texels follow those of the layer.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "part of a loop that is compiled with the caller's target features")]
     pub fn new(span: &Span, draw: &Draw, texels: &'a [[u8; 4]]) -> Self {
         assert!(texels.len() >= (draw.w + 1) * (draw.h + 1) + LANES, "the texels are padded");
         Self { span: *span, texels, stride: draw.w + 1, last: [(draw.w - 1) as f32, (draw.h - 1) as f32], at: 0 }

@@ -33,11 +33,7 @@ impl ReferenceView {
             // concurrent threads store the same result
             self.0.store(known, Ordering::Relaxed);
         }
-        (known == PHOTO).then(|| View {
-            width: camera.width,
-            height: camera.height,
-            rgba: scene.photo.rgb.iter().map(|&[r, g, b]| [r, g, b, u8::MAX]).collect(),
-        })
+        (known == PHOTO).then(|| View::from(&scene.photo))
     }
 }
 

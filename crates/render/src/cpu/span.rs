@@ -46,7 +46,6 @@ impl Draw {
 
     /// The span of row `y`; `None` if it is empty.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "rounding is one instruction with the caller's target features, else a call")]
     pub fn span(&self, y: u32) -> Option<Span> {
         let centre = f64::from(y) + 0.5;
         let f = &self.footprint;

@@ -9,7 +9,6 @@ const WHOLE: f32 = 8_388_608.0;
 
 /// Draws the opaque ones among eight pixels, and returns which of the others are soft.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 pub(super) fn opaque<S: Simd>(simd: S, run: &Run, pixels: Pixels) -> Soften {
     let Pixels { depth, out } = pixels;
     let step = f32x8::load_array(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) + run.at as f32;
@@ -44,14 +43,12 @@ pub(super) fn opaque<S: Simd>(simd: S, run: &Run, pixels: Pixels) -> Soften {
 
 /// A linear function at positions `step` of the span.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn along<S: Simd>(step: f32x8<S>, f: [f32; 2]) -> f32x8<S> {
     step * f[1] + f[0]
 }
 
 /// `v`, or 0 where it is less than 0 or NaN.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn at_least_0<S: Simd>(v: f32x8<S>) -> f32x8<S> {
     let zero = f32x8::splat(v.token(), 0.0);
     v.simd_gt(zero).select(v, zero)
@@ -59,7 +56,6 @@ fn at_least_0<S: Simd>(v: f32x8<S>) -> f32x8<S> {
 
 /// Distance of a position in texels from the first texel's centre, in 256ths, clamped to 0..=`last`.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn place<S: Simd>(v: f32x8<S>, last: f32) -> u32x8<S> {
     let (v, last) = (at_least_0(v - 0.5), f32x8::splat(v.token(), last));
     (v.simd_lt(last).select(v, last) * 256.0 + WHOLE).to_bits() & 0x007f_ffff
@@ -67,7 +63,6 @@ fn place<S: Simd>(v: f32x8<S>, last: f32) -> u32x8<S> {
 
 /// The four texels around each lane's position, as little-endian words.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn neighbours<S: Simd>(simd: S, run: &Run, x: u32x8<S>, y: u32x8<S>) -> [u32x8<S>; 4] {
     let texels: &[u32] = bytemuck::cast_slice(run.texels);
     let (column, row) = (x >> 8, y >> 8);
@@ -92,14 +87,12 @@ fn neighbours<S: Simd>(simd: S, run: &Run, x: u32x8<S>, y: u32x8<S>) -> [u32x8<S
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn words<S: Simd>(simd: S, texels: [u32; LANES]) -> u32x8<S> {
     u32x8::load_array(simd, texels.map(u32::from_le))
 }
 
 /// Picks one of the eight texels from `at` on for each lane; `bytes` are the positions of its bytes among theirs.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn picked<S: Simd>(simd: S, texels: &[u32], at: usize, bytes: u8x32<S>) -> u32x8<S> {
     let mut eight = [0; LANES];
     eight.copy_from_slice(&texels[at..at + LANES]);
@@ -108,7 +101,6 @@ fn picked<S: Simd>(simd: S, texels: &[u32], at: usize, bytes: u8x32<S>) -> u32x8
 
 /// Interpolates four opaque texels per lane: even and odd bytes in 16 bits each, which hold the sums.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn mix<S: Simd>(simd: S, four: [u32x8<S>; 4], x: u32x8<S>, y: u32x8<S>) -> u32x8<S> {
     let (fx, fy) = (x & 255, y & 255);
     // both factors are below 256, so 16 bits hold their product
@@ -127,7 +119,6 @@ fn mix<S: Simd>(simd: S, four: [u32x8<S>; 4], x: u32x8<S>, y: u32x8<S>) -> u32x8
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn halves<S: Simd>(words: u32x8<S>) -> u16x16<S> {
     words.bitcast()
 }

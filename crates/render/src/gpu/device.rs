@@ -112,28 +112,29 @@ impl Device {
         self.failure.take().map_or(Ok(()), |text| Err(RenderError::Adapter(text)))
     }
 
-    /// Creates an empty atlas of format [`COLOUR`] or [`WIDE`].
-    pub fn atlas(&self, width: u32, height: u32, pages: u32, format: wgpu::TextureFormat) -> wgpu::Texture {
+    /// Creates an empty texture of so many pages.
+    pub fn texture(
+        &self,
+        label: &str,
+        [width, height, pages]: [u32; 3],
+        format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
+    ) -> wgpu::Texture {
         self.handle.create_texture(&wgpu::TextureDescriptor {
-            label: Some("atlas"),
+            label: Some(label),
             size: wgpu::Extent3d { width, height, depth_or_array_layers: pages },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            usage,
             view_formats: &[],
         })
     }
 
     /// Fills a page of an atlas with premultiplied texels.
     pub fn write_page(&self, atlas: &wgpu::Texture, page: u32, texels: &[u8]) {
-        let to = wgpu::TexelCopyTextureInfo {
-            texture: atlas,
-            mip_level: 0,
-            origin: wgpu::Origin3d { x: 0, y: 0, z: page },
-            aspect: wgpu::TextureAspect::All,
-        };
+        let to = wgpu::TexelCopyTextureInfo { origin: wgpu::Origin3d { x: 0, y: 0, z: page }, ..atlas.as_image_copy() };
         let (width, height) = (atlas.width(), atlas.height());
         let texel = if atlas.format() == WIDE { 8 } else { 4 };
         let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * texel), rows_per_image: Some(height) };
@@ -192,36 +193,18 @@ fn pipelines(
     });
     let attributes = wgpu::vertex_attr_array![0 => Float32x4, 1 => Float32x4, 2 => Float32x4];
     let instances = wgpu::VertexBufferLayout { array_stride: 48, step_mode: wgpu::VertexStepMode::Instance, attributes: &attributes };
-    let pipeline = |entry_point, blend, write| {
-        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some(entry_point),
-            layout: Some(&layout),
-            vertex: wgpu::VertexState {
-                module,
-                entry_point: Some("vs"),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                buffers: &[Some(instances.clone())],
-            },
-            primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: Some(wgpu::DepthStencilState {
-                format: DEPTH,
-                depth_write_enabled: Some(write),
-                depth_compare: Some(wgpu::CompareFunction::GreaterEqual),
-                stencil: wgpu::StencilState::default(),
-                bias: wgpu::DepthBiasState::default(),
-            }),
-            multisample: wgpu::MultisampleState::default(),
-            fragment: Some(wgpu::FragmentState {
-                module,
-                entry_point: Some(entry_point),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                targets: &[Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })],
-            }),
-            multiview_mask: None,
-            cache: None,
-        })
+    let of = |fragment, blend, write| {
+        let depth = wgpu::DepthStencilState {
+            format: DEPTH,
+            depth_write_enabled: Some(write),
+            depth_compare: Some(wgpu::CompareFunction::GreaterEqual),
+            stencil: wgpu::StencilState::default(),
+            bias: wgpu::DepthBiasState::default(),
+        };
+        let target = wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL };
+        pipeline(device, (module, fragment), Some(&layout), &[Some(instances.clone())], Some(depth), target)
     };
-    [pipeline("fs_opaque", None, true), pipeline("fs_soft", Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING), false)]
+    [of("fs_opaque", None, true), of("fs_soft", Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING), false)]
 }
 
 /// Creates the pipeline that copies a picture of 16-bit floats to 8 bits, which rounds it once.
@@ -230,24 +213,27 @@ fn rounding(device: &wgpu::Device) -> wgpu::RenderPipeline {
         label: Some("copy.wgsl"),
         source: wgpu::ShaderSource::Wgsl(include_str!("../../../../static/draw/copy.wgsl").into()),
     });
+    pipeline(device, (&module, "fs"), None, &[], None, COLOUR.into())
+}
+
+/// Creates the pipeline of a module's vertex shader `vs` and one of its fragment shaders.
+fn pipeline(
+    device: &wgpu::Device,
+    (module, fragment): (&wgpu::ShaderModule, &str),
+    layout: Option<&wgpu::PipelineLayout>,
+    buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
+    depth_stencil: Option<wgpu::DepthStencilState>,
+    target: wgpu::ColorTargetState,
+) -> wgpu::RenderPipeline {
+    let compilation_options = wgpu::PipelineCompilationOptions::default();
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("round"),
-        layout: None,
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: Some("vs"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[],
-        },
+        label: Some(fragment),
+        layout,
+        vertex: wgpu::VertexState { module, entry_point: Some("vs"), compilation_options: compilation_options.clone(), buffers },
         primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: None,
+        depth_stencil,
         multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: Some("fs"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            targets: &[Some(wgpu::ColorTargetState { format: COLOUR, blend: None, write_mask: wgpu::ColorWrites::ALL })],
-        }),
+        fragment: Some(wgpu::FragmentState { module, entry_point: Some(fragment), compilation_options, targets: &[Some(target)] }),
         multiview_mask: None,
         cache: None,
     })

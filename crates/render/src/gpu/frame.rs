@@ -17,8 +17,6 @@ const TIMEOUT: Duration = Duration::from_secs(20);
 /// Picture, depth and read-back buffer of one size.
 #[derive(Debug)]
 pub(super) struct Target {
-    width: u32,
-    height: u32,
     colour: wgpu::Texture,
     /// Receives stacks of soft layers before they are rounded.
     wide: Option<Wide>,
@@ -77,18 +75,7 @@ impl Target {
         if width > side || height > side || size > device.limits.max_buffer_size {
             return Err(RenderError::TooLarge(format!("a view of {width}×{height}; the adapter draws at most {side} a side")));
         }
-        let texture = |label, format, usage| {
-            device.handle.create_texture(&wgpu::TextureDescriptor {
-                label: Some(label),
-                size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-                mip_level_count: 1,
-                sample_count: 1,
-                dimension: wgpu::TextureDimension::D2,
-                format,
-                usage,
-                view_formats: &[],
-            })
-        };
+        let texture = |label, format, usage| device.texture(label, [width, height, 1], format, usage);
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
         let buffer = device.handle.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read-back"),
@@ -97,8 +84,6 @@ impl Target {
             mapped_at_creation: false,
         });
         Ok(Self {
-            width,
-            height,
             colour: texture("colour", COLOUR, attachment | wgpu::TextureUsages::COPY_SRC),
             wide: wide.then(|| Wide::new(device, texture("wide colour", WIDE, attachment | wgpu::TextureUsages::TEXTURE_BINDING))),
             depth: texture("depth", DEPTH, attachment),
@@ -109,7 +94,7 @@ impl Target {
 
     /// Whether the target has the camera's size, and is wide exactly if `wide` is true.
     pub fn fits(&self, camera: &Camera, wide: bool) -> bool {
-        (self.width, self.height, self.wide.is_some()) == (camera.width, camera.height, wide)
+        (self.colour.width(), self.colour.height(), self.wide.is_some()) == (camera.width, camera.height, wide)
     }
 
     /// Draws a loaded scene and reads the view back.
@@ -172,15 +157,16 @@ impl Target {
         device.check()?;
         polled.map_err(|e| failed("waiting for the view", &e))?;
         receiver.try_recv().map_err(|e| failed("reading the view back", &e))?.map_err(|e| failed("reading the view back", &e))?;
-        let mut rgba = Vec::with_capacity(self.width as usize * self.height as usize);
+        let (width, height) = (self.colour.width(), self.colour.height());
+        let mut rgba = Vec::with_capacity(width as usize * height as usize);
         {
             let range = self.buffer.get_mapped_range(..).map_err(|e| failed("reading the view back", &e))?;
             for row in range.chunks_exact(self.bytes_per_row as usize) {
-                rgba.extend_from_slice(row[..self.width as usize * 4].as_chunks::<4>().0);
+                rgba.extend_from_slice(row[..width as usize * 4].as_chunks::<4>().0);
             }
         }
         self.buffer.unmap();
-        Ok(View { width: self.width, height: self.height, rgba })
+        Ok(View { width, height, rgba })
     }
 }
 

@@ -40,15 +40,8 @@ pub unsafe fn without_a_display() {
     }
 }
 
-type Reply<T> = mpsc::SyncSender<Result<T, RenderError>>;
-
-enum Job {
-    Open(Reply<()>),
-    Render(Arc<Scene>, Camera, Reply<View>),
-    Settle(Reply<()>),
-    #[cfg(test)]
-    Lose(Reply<()>),
-}
+/// Work for the thread that owns the device.
+type Job = Box<dyn FnOnce(&mut Worker) + Send>;
 
 impl Gpu {
     /// Maximum number of views that wait for the device; further callers wait for a place in the queue.
@@ -69,14 +62,17 @@ impl Gpu {
             .spawn(move || worker.run(&queue))
             .map_err(|e| RenderError::Adapter(format!("starting its thread: {e}")))?;
         let gpu = Self { jobs: Some(jobs), thread: Some(thread) };
-        gpu.ask(Job::Open)?;
+        gpu.ask(|worker| worker.guarded(|_| Ok(())))?;
         Ok(gpu)
     }
 
-    fn ask<T>(&self, job: impl FnOnce(Reply<T>) -> Job) -> Result<T, RenderError> {
+    /// Runs `work` on the device's thread.
+    fn ask<T: Send + 'static>(&self, work: impl FnOnce(&mut Worker) -> Result<T, RenderError> + Send + 'static) -> Result<T, RenderError> {
         let ended = |_| RenderError::Adapter("its thread has ended".into());
         let (reply, answer) = mpsc::sync_channel(1);
-        self.jobs.as_ref().and_then(|jobs| jobs.send(job(reply)).ok()).ok_or_else(|| ended(mpsc::RecvError))?;
+        // sending fails only if the caller has gone away
+        let job: Job = Box::new(move |worker: &mut Worker| drop(reply.send(work(worker))));
+        self.jobs.as_ref().and_then(|jobs| jobs.send(job).ok()).ok_or_else(|| ended(mpsc::RecvError))?;
         answer.recv().map_err(ended)?
     }
 }
@@ -97,12 +93,20 @@ impl Renderer for Gpu {
 
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
         check(camera)?;
-        self.ask(|reply| Job::Render(Arc::clone(scene), *camera, reply))
+        let (scene, camera) = (Arc::clone(scene), *camera);
+        self.ask(move |worker| worker.guarded(|state| state.render(&scene, &camera)))
     }
 
     fn free_dropped_scenes(&self) {
         // if the thread has ended, nothing is kept
-        let _ = self.ask(Job::Settle);
+        let _ = self.ask(|worker| {
+            if let Some(State { scenes, device, .. }) = &mut worker.state {
+                scenes.remove_dropped_scenes();
+                // wgpu frees dropped resources when the device is polled
+                let _ = device.handle.poll(wgpu::PollType::Poll);
+            }
+            Ok(())
+        });
     }
 }
 
@@ -120,24 +124,7 @@ struct Worker {
 impl Worker {
     fn run(mut self, queue: &mpsc::Receiver<Job>) {
         while let Ok(job) = queue.recv() {
-            // sending fails only if the caller has gone away
-            match job {
-                Job::Open(reply) => drop(reply.send(self.guarded(|_| Ok(())))),
-                Job::Settle(reply) => {
-                    if let Some(State { scenes, device, .. }) = &mut self.state {
-                        scenes.remove_dropped_scenes();
-                        // wgpu frees dropped resources when the device is polled
-                        let _ = device.handle.poll(wgpu::PollType::Poll);
-                    }
-                    drop(reply.send(Ok(())));
-                }
-                Job::Render(scene, camera, reply) => drop(reply.send(self.guarded(|state| state.render(&scene, &camera)))),
-                #[cfg(test)]
-                Job::Lose(reply) => drop(reply.send(self.guarded(|state| {
-                    state.device.handle.destroy();
-                    Ok(())
-                }))),
-            }
+            job(&mut self);
         }
     }
 
@@ -202,13 +189,19 @@ mod tests {
     #[test]
     fn a_lost_device_is_an_error_once_and_then_rebuilt() {
         let Some(gpu) = Need::Gpu.or_skip(Gpu::new(true)) else { return };
+        let lose = |worker: &mut Worker| {
+            worker.guarded(|state| {
+                state.device.handle.destroy();
+                Ok(())
+            })
+        };
         let scene = Arc::new(testing::flat(8, 8, 0.5));
         let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: 8, height: 8 };
         let before = gpu.render(&scene, &camera).unwrap();
-        gpu.ask(Job::Lose).unwrap();
+        gpu.ask(lose).unwrap();
         assert!(matches!(gpu.render(&scene, &camera), Err(RenderError::Adapter(_))));
         assert_eq!(gpu.render(&scene, &camera).unwrap(), before);
-        gpu.ask(Job::Lose).unwrap();
+        gpu.ask(lose).unwrap();
         let auto = super::super::GpuOrCpu { gpu, cpu: super::super::Cpu::default() };
         assert_eq!(auto.render(&scene, &camera).unwrap(), before, "meanwhile cpu serves");
     }

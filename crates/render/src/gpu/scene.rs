@@ -145,7 +145,8 @@ impl Plan {
     /// Creates pages of a format from texels that `texel` converts.
     fn pages<T: Pod>(&self, scene: &Scene, device: &Device, format: wgpu::TextureFormat, texel: impl Fn([u8; 4]) -> T) -> wgpu::Texture {
         let p = &self.packing;
-        let texture = device.atlas(p.width, p.height, p.pages, format);
+        let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
+        let texture = device.texture("atlas", [p.width, p.height, p.pages], format, usage);
         let mut page = vec![T::zeroed(); p.width as usize * p.height as usize];
         let (colours, mut texels) = (border_colours(scene, &self.pieces), Vec::new());
         let mut expander = Expander::new(scene, colours.as_ref());

@@ -199,7 +199,7 @@ fn depth_is_found_whatever_follows_the_last_picture() {
 
 #[test]
 fn a_map_is_turned_upright_with_its_photo() {
-    let file = on_its_side(&gdepth("RangeInverse", "1", "5"));
+    let file = oriented(&gdepth("RangeInverse", "1", "5"), 6);
     let found = embedded_depth(&file).unwrap().unwrap();
     let Read { map, size, .. } = found.read(&Limits::default(), H, W).unwrap();
     assert_eq!(size, (H / 2, W / 2));
@@ -209,12 +209,7 @@ fn a_map_is_turned_upright_with_its_photo() {
     near((at(3, 3), at(H - 4, 3)), (1.0 - 0.2 * 0.8, 1.0 - 0.2 * 0.8));
 }
 
-/// Sets orientation 6: the stored top is the upright right.
-fn on_its_side(file: &[u8]) -> Vec<u8> {
-    oriented(file, 6)
-}
-
-/// Sets an orientation.
+/// Sets an orientation. With 6, the stored top is the upright right.
 fn oriented(file: &[u8], orientation: u8) -> Vec<u8> {
     let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0".as_slice(), &[orientation, 0, 0, 0, 0, 0, 0]].concat();
     with(file, &[segment(0xE1, &exif)])
@@ -281,7 +276,7 @@ fn a_map_turns_with_its_photo_unless_its_shape_shows_that_it_is_upright() {
         ((64, 48), (32, 24), true),
         ((64, 48), (24, 32), false),
     ] {
-        let file = on_its_side(&gdepth_with(&colours(photo.0, photo.1), columns(map.0, map.1), "RangeInverse", "1", "5"));
+        let file = oriented(&gdepth_with(&colours(photo.0, photo.1), columns(map.0, map.1), "RangeInverse", "1", "5"), 6);
         let found = embedded_depth(&file).unwrap().unwrap();
         let upright = found.read(&Limits::default(), photo.1, photo.0).unwrap().map;
         let (left, right) = (upright.delta[0], upright.delta[photo.1 as usize - 1]);
@@ -324,7 +319,7 @@ fn carried_depth_is_used_unless_a_map_is_given_or_it_is_switched_off() {
     assert!(report.depth_model == "given" && report.input.depth.unwrap().stretched);
     // a map in the photo's stored orientation fits once it is turned
     let lying = encoded(GrayImage::from_fn(W, H, |x, _| Luma([if x < W / 2 { 0 } else { 200 }])), ImageFormat::Png);
-    let depth = make(&on_its_side(&photo()), Some(&lying), Switch::Auto).unwrap().input.depth.unwrap();
+    let depth = make(&oriented(&photo(), 6), Some(&lying), Switch::Auto).unwrap().input.depth.unwrap();
     assert_eq!((depth.width, depth.height, depth.stretched), (H, W, false));
     // unreadable depth is reported, and is an error only if nothing else may replace it
     let broken = gdepth("RangeInverse", "5", "1");

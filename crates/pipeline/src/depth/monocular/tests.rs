@@ -89,27 +89,16 @@ fn degenerate_outputs_give_valid_maps_or_errors() {
     let flat = with(|_, _| 7.0).estimate(&p).unwrap();
     let worst = flat.delta.iter().map(|v| (v - 0.5).abs()).fold(0.0, f32::max);
     assert!(worst < 1e-5, "no relief: {worst}");
-    let holes = with(|x, y| {
-        if x == y {
-            f32::NAN
-        } else if x == y + 1 {
-            f32::NEG_INFINITY
-        } else {
-            x as f32
-        }
-    })
-    .estimate(&p)
-    .unwrap();
-    assert!(holes.delta.iter().all(|v| v.is_finite()));
+    let holes = with(|x, y| match x.wrapping_sub(y) {
+        0 => f32::NAN,
+        1 => f32::NEG_INFINITY,
+        _ => x as f32,
+    });
+    assert!(holes.estimate(&p).unwrap().delta.iter().all(|v| v.is_finite()));
     let outlier = with(|x, y| if (x, y) == (9, 9) { 1e30 } else { x as f32 }).estimate(&p).unwrap();
     assert!(outlier.delta[63] > 0.85, "one outlier does not flatten the rest");
-    let lone = with(|x, y| if (x, y) == (0, 0) { 1.0 } else { 0.0 })
-        .raw(&p)
-        .map(|mut m| {
-            normalise(&mut m.delta, 0.0);
-            m
-        })
-        .unwrap();
+    let mut lone = with(|x, y| if (x, y) == (0, 0) { 1.0 } else { 0.0 }).raw(&p).unwrap();
+    normalise(&mut lone.delta, 0.0);
     assert!((lone.delta[0] - 1.0).abs() < 1e-6, "the only relief is kept");
     assert!(matches!(with(|_, _| f32::NAN).estimate(&p), Err(DepthError::Onnx(OnnxError::Run { .. }))));
     let metric = Adapter { output: Kind::Metric, ..super::super::ADAPTERS[0] };
@@ -117,7 +106,7 @@ fn degenerate_outputs_give_valid_maps_or_errors() {
     assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "distances of 0 and below");
 }
 
-fn several(name: &str, outputs: &[&str], f: fn(usize, usize) -> Vec<Tensor>) -> Monocular {
+fn several(name: &str, outputs: &[&str], f: impl Fn(usize, usize) -> Vec<Tensor> + Send + Sync + 'static) -> Monocular {
     let adapter = super::super::adapter(name).unwrap();
     let info = |name: &str, shape: &[i64]| crate::networks::TensorInfo { name: name.into(), shape: shape.to_vec() };
     let outputs: Vec<_> = outputs.iter().map(|o| info(o, &[])).collect();
@@ -159,34 +148,31 @@ fn points_become_disparities_and_sky_is_infinitely_far() {
 
 #[test]
 fn a_photo_of_only_sky_is_flat_and_an_output_without_numbers_is_an_error() {
-    let all_sky = several("moge-2", &["points", "mask"], |w, h| {
-        let mut outputs = plane(w, h, 1.0);
-        outputs[1].data.fill(0.0);
-        outputs
-    });
+    let changed = |change: fn(&mut [Tensor])| {
+        several("moge-2", &["points", "mask"], move |w, h| {
+            let mut outputs = plane(w, h, 1.0);
+            change(&mut outputs);
+            outputs
+        })
+    };
+    let all_sky = changed(|outputs| outputs[1].data.fill(0.0));
     let got = all_sky.estimate(&photo(40, 30)).unwrap();
     assert!(got.delta.iter().all(|v| (v - FLAT).abs() < 1e-5));
     let sky = several("depth-anything-3", &["depth", "sky"], |w, h| vec![map(w, h, |x, _| x as f32 + 1.0), map(w, h, |_, _| 1.0)]);
     assert!(sky.estimate(&photo(40, 30)).unwrap().delta.iter().all(|v| (v - FLAT).abs() < 1e-5));
-    let nothing = several("moge-2", &["points", "mask"], |w, h| {
-        plane(w, h, 1.0).into_iter().map(|t| Tensor { data: vec![f32::NAN; t.data.len()], ..t }).collect()
-    });
+    let nothing = changed(|outputs| outputs.iter_mut().for_each(|t| t.data.fill(f32::NAN)));
     assert!(nothing.estimate(&photo(40, 30)).unwrap_err().to_string().contains("no finite value"));
     let behind = several("depth-anything-3", &["depth"], |w, h| vec![map(w, h, |_, _| -1.0)]);
     assert!(behind.estimate(&photo(40, 30)).unwrap_err().to_string().contains("no positive distance"));
-    let holes = several("moge-2", &["points", "mask"], |w, h| {
-        let mut outputs = plane(w, h, 1.0);
+    let holes = changed(|outputs| {
         let wild = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
         outputs[0].data.iter_mut().step_by(97).enumerate().for_each(|(i, v)| *v = wild[i % 3]);
         outputs[1].data.iter_mut().step_by(89).for_each(|v| *v = f32::NAN);
-        outputs
     });
     let got = holes.estimate(&photo(40, 30)).unwrap();
     assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)) && got.delta[40 * 20] > got.delta[40 * 20 + 38]);
-    let wild = several("moge-2", &["points", "mask"], |w, h| {
-        let mut outputs = plane(w, h, 1.0);
+    let wild = changed(|outputs| {
         outputs[0].data.iter_mut().step_by(97).enumerate().for_each(|(i, v)| *v = [-1e30, 1e30, -1.0, 0.0][i % 4]);
-        outputs
     });
     assert!(wild.estimate(&photo(40, 30)).unwrap().delta.iter().all(|v| (0.0..=1.0).contains(v)));
     let small = several("moge-2", &["points", "mask"], |w, h| vec![plane(w, h, 1.0).swap_remove(0), map(0, 0, |_, _| 0.0)]);
@@ -209,9 +195,7 @@ fn every_shape_of_photo_runs_through_every_network() {
 
 #[test]
 fn networks_of_several_inputs_outputs_and_files_load_and_run() {
-    if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
-        return;
-    }
+    let Some(()) = tmpi_testing::Need::Onnx.or_skip(crate::networks::available()) else { return };
     let load = |name: &str, model, beside: &[ExternalData]| {
         Monocular::load(super::super::adapter(name).unwrap(), model, beside, &Config::default())
     };
@@ -251,9 +235,7 @@ fn flipping_averages_both_runs() {
 
 #[test]
 fn a_real_file_is_loaded_and_run() {
-    if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
-        return;
-    }
+    let Some(()) = tmpi_testing::Need::Onnx.or_skip(crate::networks::available()) else { return };
     let mean = include_bytes!("../../../../../tests/onnx/mean.onnx");
     let plain = Adapter { mean: [0.0; 3], deviation: [1.0; 3], ..ONE_RUN };
     let got = Monocular::load(&plain, mean, &[], &Config::default()).unwrap();

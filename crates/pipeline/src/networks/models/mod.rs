@@ -140,7 +140,7 @@ impl Network for Lazy {
     fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
         let load = || {
             let model = read(&self.file).map_err(|e| OnnxError::Model { name: self.name.to_owned(), reason: e.to_string() })?;
-            Session::load(self.name, &model, &self.config)
+            Session::load(self.name, &model, &[], &self.config)
         };
         self.loaded.get(load)?.run(inputs)
     }

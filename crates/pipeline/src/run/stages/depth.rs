@@ -1,31 +1,10 @@
-//! Stages of the disparity map: estimates or reads it, denoises it, and snaps its ramps to the photo's edges.
+//! Stages of the disparity map: estimates or reads it, denoises it, applies strokes, and snaps its ramps to the photo's edges.
 
 use tmpi_core::{DisparityMap, Photo};
 
 use crate::run::{self, Context, MakeError, Switch};
 use crate::stereo::{self, FusedDisparity, Measured, Stereo};
-use crate::{denoise, depth, edges, photo};
-
-/// Stage from a photo and the source of its disparity to a disparity map.
-///
-/// For the frames of a room, the network can run [at a smaller size](Depth::at) than for a photo.
-#[derive(Debug, Default)]
-pub struct Depth {
-    size: Option<(u32, u32)>,
-    network_ms: f64,
-}
-
-impl Depth {
-    /// Runs the network, if it is the source, at `size`, one of [`depth::Estimator::sizes`]; `None`: at the same size as for a photo.
-    pub const fn at(size: Option<(u32, u32)>) -> Self {
-        Self { size, network_ms: 0.0 }
-    }
-
-    /// Milliseconds of the network alone; 0 if it did not run at a size set by [`Depth::at`].
-    pub const fn network_ms(&self) -> f64 {
-        self.network_ms
-    }
-}
+use crate::{denoise, depth, edges, photo, strokes};
 
 /// Source of disparity.
 #[derive(Clone, Debug)]
@@ -140,124 +119,132 @@ pub struct WeightedDisparity {
     pub given: bool,
 }
 
-impl run::Stage for Depth {
-    const NAME: &'static str = "depth";
-    type Input<'a> = (&'a Photo, Source<'a>);
-    type Output = WeightedDisparity;
-
-    fn run(&mut self, (photo, source): (&Photo, Source), context: &mut Context) -> Result<WeightedDisparity, MakeError> {
-        let (width, height) = (photo.width, photo.height);
-        let (source, measured) = match source {
-            Source::Second(eye) => (Source::Network, eye.measure(photo, context)?),
-            source => (source, None),
-        };
-        let read = match &source {
-            Source::Network | Source::Second(_) => None,
-            Source::Given(file, orientation) => {
-                let kind = context.options.depth_kind;
-                Some(("given", "given", depth::from_map_beside(file, kind, context.limits, (width, height), *orientation)?))
-            }
-            Source::Half(half) => Some(("given", "rgbd", depth::from_half(half, context.options.depth_kind)?)),
-            Source::Embedded(embedded) => match embedded.read(context.limits, width, height) {
-                Ok(read) => Some(("embedded", embedded.format, read)),
-                Err(error) if context.options.photo_depth == Switch::On => return Err(error.into()),
-                Err(error) => {
-                    context.report.input.depth_problem = Some(error.to_string());
-                    None
-                }
-            },
-        };
-        let given = read.is_some() || measured.is_some();
-        let (mut delta, own) = if let Some((name, format, read)) = read {
-            context.report.depth_model = name.into();
-            let (w, h) = read.size;
-            let stretched = !depth::fits((w, h), (width, height));
-            context.report.input.depth = Some(run::InputDepth { source: format.into(), width: w, height: h, stretched });
-            (context.report.error.depth_filled, context.report.error.depth_clipped) = (read.filled, read.clipped);
-            (read.map, read.own)
-        } else {
-            context.report.depth_model = context.models.depth.name().into();
-            let network = &context.models.depth;
-            let size = self.size.or_else(|| network.sizes(width, height).first().copied());
-            let estimate =
-                size.map_or_else(|| network.estimate(photo).map(depth::Estimate::from), |size| network.estimate_at(photo, size))?;
-            self.network_ms = if self.size.is_some() { estimate.network_ms } else { 0.0 };
-            if let Some(measured) = measured {
-                let FusedDisparity { map, own, figures } = measured.fuse(photo, &estimate.map);
-                context.report.depth_model = "stereo".into();
-                let (width, height) = own.as_ref().map_or((width, height), |own| (own.width, own.height));
-                context.report.input.depth = Some(run::InputDepth { source: "stereo".into(), width, height, stretched: false });
-                context.report.error.stereo = Some(figures);
-                (map, own)
-            } else {
-                (estimate.map, estimate.small)
-            }
-        };
-        // values that are not finite become infinitely far, so that no input gives NaN in later stages
-        for d in &mut delta.delta {
-            *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
+/// Stage from a photo and the source of its disparity to a disparity map. If the source is the network, it runs at `size`, one of
+/// [`depth::Estimator::sizes`], for the frames of a room; `None`: at the size for a photo.
+///
+/// # Errors
+/// [`MakeError`] if a map or second picture is invalid, if the network fails, or if there is no time left.
+pub fn find_disparity(
+    context: &mut Context,
+    photo: &Photo,
+    source: Source,
+    size: Option<(u32, u32)>,
+) -> Result<WeightedDisparity, MakeError> {
+    let stage = context.begin("depth")?;
+    let (width, height) = (photo.width, photo.height);
+    let (source, measured) = match source {
+        Source::Second(eye) => (Source::Network, eye.measure(photo, context)?),
+        source => (source, None),
+    };
+    let read = match &source {
+        Source::Network | Source::Second(_) => None,
+        Source::Given(file, orientation) => {
+            let kind = context.options.depth_kind;
+            Some(("given", "given", depth::from_map_beside(file, kind, context.limits, (width, height), *orientation)?))
         }
-        context.report.error.resampling = context.movement.zip(own).map(|(movement, own)| movement.resampled(&own, &delta));
-        Ok(WeightedDisparity { delta, confidence: None, given })
+        Source::Half(half) => Some(("given", "rgbd", depth::from_half(half, context.options.depth_kind)?)),
+        Source::Embedded(embedded) => match embedded.read(context.limits, width, height) {
+            Ok(read) => Some(("embedded", embedded.format, read)),
+            Err(error) if context.options.photo_depth == Switch::On => return Err(error.into()),
+            Err(error) => {
+                context.report.input.depth_problem = Some(error.to_string());
+                None
+            }
+        },
+    };
+    let given = read.is_some() || measured.is_some();
+    let (mut delta, own) = if let Some((name, format, read)) = read {
+        context.report.depth_model = name.into();
+        let (w, h) = read.size;
+        let stretched = !depth::fits((w, h), (width, height));
+        context.report.input.depth = Some(run::InputDepth { source: format.into(), width: w, height: h, stretched });
+        (context.report.error.depth_filled, context.report.error.depth_clipped) = (read.filled, read.clipped);
+        (read.map, read.own)
+    } else {
+        context.report.depth_model = context.models.depth.name().into();
+        let network = &context.models.depth;
+        let chosen = size.or_else(|| network.sizes(width, height).first().copied());
+        let estimate =
+            chosen.map_or_else(|| network.estimate(photo).map(depth::Estimate::from), |size| network.estimate_at(photo, size))?;
+        context.network_ms = if size.is_some() { estimate.network_ms } else { 0.0 };
+        if let Some(measured) = measured {
+            let FusedDisparity { map, own, figures } = measured.fuse(photo, &estimate.map);
+            context.report.depth_model = "stereo".into();
+            let (width, height) = own.as_ref().map_or((width, height), |own| (own.width, own.height));
+            context.report.input.depth = Some(run::InputDepth { source: "stereo".into(), width, height, stretched: false });
+            context.report.error.stereo = Some(figures);
+            (map, own)
+        } else {
+            (estimate.map, estimate.small)
+        }
+    };
+    // values that are not finite become infinitely far, so that no input gives NaN in later stages
+    for d in &mut delta.delta {
+        *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
     }
+    context.report.error.resampling = context.movement.zip(own).map(|(movement, own)| movement.resampled(&own, &delta));
+    context.end(stage);
+    Ok(WeightedDisparity { delta, confidence: None, given })
 }
 
 /// Stage that removes noise and outliers from the disparity map.
-#[derive(Debug, Default)]
-pub struct Denoise;
-
-impl run::Stage for Denoise {
-    const NAME: &'static str = "denoise";
-    type Input<'a> = (&'a Photo, WeightedDisparity);
-    type Output = WeightedDisparity;
-
-    fn run(&mut self, (photo, mut map): (&Photo, WeightedDisparity), context: &mut Context) -> Result<WeightedDisparity, MakeError> {
-        let movement = context.movement;
-        // an unchanged map has no error to report
-        let moved = |before: &DisparityMap, after: &DisparityMap| movement.filter(|_| before != after).map(|m| m.between(before, after));
-        let clean = match context.options.denoise {
-            run::Denoise::Theta => {
-                // `Models::check` has rejected these options if Θ is missing
-                if let Some(theta) = context.models.theta.as_ref().filter(|_| denoise::theta::wanted(&map.delta)) {
-                    let (clean, confidence) = denoise::theta::run(theta.as_ref(), photo, &map.delta)?;
-                    map.confidence = Some(confidence);
-                    Some(clean)
-                } else {
-                    None
-                }
+///
+/// # Errors
+/// [`MakeError`] if the network Θ fails, or if there is no time left.
+pub fn remove_noise(context: &mut Context, photo: &Photo, mut map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
+    let stage = context.begin("denoise")?;
+    let movement = context.movement;
+    // an unchanged map has no error to report
+    let moved = |before: &DisparityMap, after: &DisparityMap| movement.filter(|_| before != after).map(|m| m.between(before, after));
+    let clean = match context.options.denoise {
+        run::Denoise::Theta => {
+            // `Models::check` has rejected these options if Θ is missing
+            if let Some(theta) = context.models.theta.as_ref().filter(|_| denoise::theta::wanted(&map.delta)) {
+                let (clean, confidence) = denoise::theta::run(theta.as_ref(), photo, &map.delta)?;
+                map.confidence = Some(confidence);
+                Some(clean)
+            } else {
+                None
             }
-            // measures noise and outliers itself
-            run::Denoise::Auto => Some(denoise::local_planes::denoise(&map.delta)),
-            run::Denoise::Classic => Some(denoise::median_guided::denoise(photo, &map.delta)),
-            run::Denoise::Off => None,
-        };
-        if let Some(clean) = clean {
-            context.report.error.denoise = moved(&map.delta, &clean);
-            map.delta = clean;
         }
-        Ok(map)
+        // measures noise and outliers itself
+        run::Denoise::Auto => Some(denoise::local_planes::denoise(&map.delta)),
+        run::Denoise::Classic => Some(denoise::median_guided::denoise(photo, &map.delta)),
+        run::Denoise::Off => None,
+    };
+    if let Some(clean) = clean {
+        context.report.error.denoise = moved(&map.delta, &clean);
+        map.delta = clean;
     }
+    context.end(stage);
+    Ok(map)
+}
+
+/// Stage that applies the strokes of the options to the disparity map. It runs before edges are snapped, so that the outlines of strokes
+/// snap to those of the photo.
+pub(crate) fn apply_strokes(context: &mut Context, photo: &Photo, mut map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
+    let stage = context.begin("strokes")?;
+    strokes::apply(photo, &mut map.delta, map.confidence.as_mut(), &context.options.strokes);
+    context.report.input.strokes = context.options.strokes.len();
+    context.end(stage);
+    Ok(map)
 }
 
 /// Stage that snaps the ramps of blurred maps to the photo's edges.
-#[derive(Debug, Default)]
-pub struct Snap;
-
-impl run::Stage for Snap {
-    const NAME: &'static str = "snap";
-    type Input<'a> = (&'a Photo, WeightedDisparity);
-    type Output = WeightedDisparity;
-
-    fn run(&mut self, (photo, mut map): (&Photo, WeightedDisparity), context: &mut Context) -> Result<WeightedDisparity, MakeError> {
-        let switch = context.options.snap;
-        if switch != Switch::Off {
-            // snapping sharp depth costs quality, and a given map may be sharp or blurred
-            let blurred = !map.given || switch == Switch::On || edges::ramp_share(&map.delta) > edges::BLURRED;
-            let snapped = if blurred { edges::snap(photo, &map.delta) } else { edges::clean(photo, &map.delta) };
-            let movement = context.movement.filter(|_| snapped != map.delta);
-            context.report.error.snap = movement.map(|m| m.between(&map.delta, &snapped));
-            map.delta = snapped;
-        }
-        Ok(map)
+///
+/// # Errors
+/// [`MakeError`] if there is no time left.
+pub fn snap_ramps(context: &mut Context, photo: &Photo, mut map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
+    let stage = context.begin("snap")?;
+    let switch = context.options.snap;
+    if switch != Switch::Off {
+        // snapping sharp depth costs quality, and a given map may be sharp or blurred
+        let blurred = !map.given || switch == Switch::On || edges::ramp_share(&map.delta) > edges::BLURRED;
+        let snapped = if blurred { edges::snap(photo, &map.delta) } else { edges::clean(photo, &map.delta) };
+        let movement = context.movement.filter(|_| snapped != map.delta);
+        context.report.error.snap = movement.map(|m| m.between(&map.delta, &snapped));
+        map.delta = snapped;
     }
+    context.end(stage);
+    Ok(map)
 }

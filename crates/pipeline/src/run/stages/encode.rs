@@ -4,15 +4,10 @@ use tmpi_core::container::{self, OptionalSections};
 use tmpi_core::{Geometry, Scene, compose};
 
 use super::Layered;
-use crate::run::{Context, MakeError, Stage};
-
-/// Stage from layers to scene and container.
-#[derive(Debug, Default)]
-pub struct Encode;
+use crate::run::{Context, MakeError};
 
 /// A scene and its container.
-#[derive(Clone, Debug)]
-pub struct Encoded {
+pub(crate) struct Encoded {
     /// The container.
     pub container: Vec<u8>,
     /// The scene in the container, with the photo as its readers see it.
@@ -23,16 +18,13 @@ pub struct Encoded {
     pub optional: OptionalSections,
 }
 
-impl Stage for Encode {
-    const NAME: &'static str = "encode";
-    type Input<'a> = Layered;
-    type Output = Encoded;
-
-    fn run(&mut self, layered: Layered, context: &mut Context) -> Result<Encoded, MakeError> {
-        let Layered { geometry, tiles, photo_file, photo, optional } = layered;
-        let scene = compose(photo, &geometry, tiles);
-        let (container, bytes) = container::encode(&geometry, &scene, &photo_file, optional)?;
-        context.report.bytes = bytes.into();
-        Ok(Encoded { container, scene, geometry, optional })
-    }
+/// Stage from layers to scene and container.
+pub(crate) fn encode_scene(context: &mut Context, layered: Layered) -> Result<Encoded, MakeError> {
+    let stage = context.begin("encode")?;
+    let Layered { geometry, tiles, photo_file, photo, optional } = layered;
+    let scene = compose(photo, &geometry, tiles);
+    let (container, bytes) = container::encode(&geometry, &scene, &photo_file, optional)?;
+    context.report.bytes = bytes.into();
+    context.end(stage);
+    Ok(Encoded { container, scene, geometry, optional })
 }

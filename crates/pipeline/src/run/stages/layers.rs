@@ -6,15 +6,11 @@ use tmpi_core::{DisparityMap, Geometry, Photo, TexturedLayer, texture};
 use super::{Placed, Prepared};
 use crate::layers::{self, refine};
 use crate::planes::Placement;
-use crate::run::{Context, LeftOut, MakeError, Report, Stage, Switch};
+use crate::run::{Context, LeftOut, MakeError, Report, Switch};
 
 /// Whether Ψ runs with [`Switch::Auto`]. It does not: with the shipped weights, it gains 0.03 dB of the 0.37 dB that exact hidden colours
 /// would gain (`tmpi-lab bench --only without`), and the container would have to store its colours.
 const REFINEMENT_HELPS: bool = false;
-
-/// Stage from planes and labels to layers with hidden colours, and to the photo's file for the container.
-#[derive(Debug, Default)]
-pub struct Layers;
 
 /// Layers of a photo.
 #[derive(Clone, Debug)]
@@ -31,55 +27,52 @@ pub struct Layered {
     pub optional: OptionalSections,
 }
 
-impl Stage for Layers {
-    const NAME: &'static str = "layers";
-    type Input<'a> = (&'a mut Prepared, Placed, &'a DisparityMap);
-    type Output = Layered;
-
-    fn run(&mut self, input: (&mut Prepared, Placed, &DisparityMap), context: &mut Context) -> Result<Layered, MakeError> {
-        let (prepared, Placed { mut geometry, placement }, delta) = input;
-        // the container stores the alphas of Ψ, whereas readers derive mattes from the photo
-        geometry.matted = !refined(context);
-        // encoding the photo uses one core; beside the masks, which use all cores, it adds little wall time
-        let uploaded = prepared.uploaded.take();
-        let file = || {
-            let file = choose_file(uploaded, prepared.format, &prepared.photo, context.options.quality)?;
-            Ok::<_, MakeError>((file.decode()?, file))
-        };
-        let masks = || {
-            layers::add_backgrounds(&mut geometry, delta);
-            geometry.masks()
-        };
-        let (masks, file) = rayon::join(masks, file);
-        let (photo, photo_file) = file?;
-        // mattes depend on the colours, so the layers are those of readers only with the colours that readers see
-        let tiles = texture(&photo, &geometry, masks);
-        count(&mut context.report, &geometry, &tiles, &placement);
-        Ok(Layered { geometry, tiles, photo_file, photo, optional: OptionalSections::default() })
-    }
+/// Stage from planes and labels to layers with hidden colours, and to the photo's file for the container.
+///
+/// # Errors
+/// [`MakeError`] if the photo cannot be encoded, or if there is no time left.
+pub fn make_layers(context: &mut Context, prepared: &mut Prepared, placed: Placed, delta: &DisparityMap) -> Result<Layered, MakeError> {
+    let stage = context.begin("layers")?;
+    let Placed { mut geometry, placement } = placed;
+    // the container stores the alphas of Ψ, whereas readers derive mattes from the photo
+    geometry.matted = !refined(context);
+    // encoding the photo uses one core; beside the masks, which use all cores, it adds little wall time
+    let uploaded = prepared.uploaded.take();
+    let quality = context.options.quality;
+    let file = || {
+        let file = choose_file(uploaded, prepared.format, &prepared.photo, quality)?;
+        Ok::<_, MakeError>((file.decode()?, file))
+    };
+    let masks = || {
+        layers::add_backgrounds(&mut geometry, delta);
+        geometry.masks()
+    };
+    let (masks, file) = rayon::join(masks, file);
+    let (photo, photo_file) = file?;
+    // mattes depend on the colours, so the layers are those of readers only with the colours that readers see
+    let tiles = texture(&photo, &geometry, masks);
+    count(&mut context.report, &geometry, &tiles, &placement);
+    context.end(stage);
+    Ok(Layered { geometry, tiles, photo_file, photo, optional: OptionalSections::default() })
 }
 
 /// Stage that refines alphas and hidden colours with the network Ψ, if the options ask for it.
-#[derive(Debug, Default)]
-pub struct Refine;
-
-impl Stage for Refine {
-    const NAME: &'static str = "refine";
-    type Input<'a> = Layered;
-    type Output = Layered;
-
-    fn run(&mut self, mut layered: Layered, context: &mut Context) -> Result<Layered, MakeError> {
-        let options = context.options;
-        context.report.left_out.tiles_not_refined = layered.tiles.len();
-        if refined(context)
-            && let Some(psi) = &context.models.psi
-        {
-            let refined = refine::run(psi.as_ref(), &layered.photo, &layered.geometry, &mut layered.tiles)?;
-            context.report.left_out.tiles_not_refined = refined.skipped;
-            layered.optional = OptionalSections { alpha: true, hidden: refined.colours.then_some(HiddenCodec::Jpeg(options.quality)) };
-        }
-        Ok(layered)
+///
+/// # Errors
+/// [`MakeError`] if the network fails, or if there is no time left.
+pub fn refine_layers(context: &mut Context, mut layered: Layered) -> Result<Layered, MakeError> {
+    let stage = context.begin("refine")?;
+    context.report.left_out.tiles_not_refined = layered.tiles.len();
+    if refined(context)
+        && let Some(psi) = &context.models.psi
+    {
+        let refined = refine::run(psi.as_ref(), &layered.photo, &layered.geometry, &mut layered.tiles)?;
+        context.report.left_out.tiles_not_refined = refined.skipped;
+        let hidden = refined.colours.then_some(HiddenCodec::Jpeg(context.options.quality));
+        layered.optional = OptionalSections { alpha: true, hidden };
     }
+    context.end(stage);
+    Ok(layered)
 }
 
 /// Whether Ψ refines the layers.

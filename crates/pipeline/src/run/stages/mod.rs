@@ -5,29 +5,16 @@ mod encode;
 mod layers;
 mod photo;
 mod planes;
-mod strokes;
 mod verify;
 
-pub use depth::{Denoise, Depth, SecondPicture, Snap, Source, WeightedDisparity};
-pub use encode::{Encode, Encoded};
-pub use layers::{Layered, Layers, Refine};
-pub use photo::{Prepare, Prepared};
-pub use planes::{Placed, Planes};
-pub use strokes::Strokes;
-pub use verify::Verify;
-
-use super::Stage;
+pub(super) use depth::apply_strokes;
+pub use depth::{SecondPicture, Source, WeightedDisparity, find_disparity, remove_noise, snap_ramps};
+pub(super) use encode::{Encoded, encode_scene};
+pub use layers::{Layered, make_layers, refine_layers};
+pub use photo::Prepared;
+pub(super) use photo::prepare;
+pub use planes::{Placed, WarmStart, place_planes};
+pub(super) use verify::verify_container;
 
 /// Names of all stages, in order.
-pub const STAGES: [&str; 10] = [
-    Prepare::NAME,
-    Depth::NAME,
-    Denoise::NAME,
-    Strokes::NAME,
-    Snap::NAME,
-    Planes::NAME,
-    Layers::NAME,
-    Refine::NAME,
-    Encode::NAME,
-    Verify::NAME,
-];
+pub const STAGES: [&str; 10] = ["photo", "depth", "denoise", "strokes", "snap", "planes", "layers", "refine", "encode", "verify"];

@@ -1,78 +1,12 @@
 //! Placement of the planes of all tiles.
 
-use tmpi_core::{DisparityMap, Geometry, Grid, Plane, Rect, Tile};
+use tmpi_core::{DisparityMap, Geometry, Grid, Intrinsics, Plane, Rect, Tile};
 
 use super::{Prepared, WeightedDisparity};
 use crate::planes::{Placement, Rounded, busy_share, discretisation_error, place_again, place_rounded};
 use crate::run::time_budget::Costs;
-use crate::run::{Budget, Context, MakeError, Parallax, PlaneCount, PlaneError, Sizes, Stage, TileError};
+use crate::run::{Budget, Context, MakeError, Parallax, PlaneCount, PlaneError, Sizes, TileError};
 use tmpi_core::container::{most_planes, readable};
-
-/// Stage from disparity to planes and labels of every tile.
-///
-/// In a room, a frame [starts from the planes of the last one](Planes::with_warm_start), and only changed tiles are placed again.
-#[derive(Debug, Default)]
-pub struct Planes {
-    last: Option<LastFrame>,
-}
-
-/// Tiles of the last frame.
-#[derive(Debug, Default)]
-struct LastFrame {
-    tiles: Vec<Tile>,
-    /// Which tiles to place again, by number.
-    changed: Vec<bool>,
-    /// Most planes of a newly placed tile.
-    most: Option<u32>,
-}
-
-impl Planes {
-    /// Carries planes from one frame to the next; all frames must have the same size. Does not choose a time budget, check memory or
-    /// measure errors, as it does for a photo: the room does that itself.
-    pub fn with_warm_start() -> Self {
-        Self { last: Some(LastFrame::default()) }
-    }
-
-    /// Sets which tiles change in the next frame, by number; all do if the length differs from the number of tiles.
-    pub fn set_changed(&mut self, changed: Vec<bool>) {
-        if let Some(last) = &mut self.last {
-            last.changed = changed;
-        }
-    }
-
-    /// Limits tiles that the next frame places anew to `most` planes; `None`: to the limit of the options. Tiles may keep more planes.
-    pub fn set_plane_limit(&mut self, most: Option<u32>) {
-        if let Some(last) = &mut self.last {
-            last.most = most;
-        }
-    }
-
-    /// Makes the next frame start from `tile` at tile `index` of the grid.
-    pub fn set_last_tile(&mut self, index: u32, tile: &Tile) {
-        if let Some(held) = self.last.as_mut().and_then(|c| c.tiles.get_mut(index as usize)) {
-            *held = Tile { background: None, ..tile.clone() };
-        }
-    }
-
-    /// Drops the tiles of the last frame, for a cut.
-    pub fn reset(&mut self) {
-        if let Some(last) = &mut self.last {
-            *last = LastFrame::default();
-        }
-    }
-}
-
-impl LastFrame {
-    fn place(&mut self, map: &WeightedDisparity, grid: &Grid, placement: &Placement) -> Vec<Tile> {
-        let count = grid.tiles() as usize;
-        self.tiles.resize(count, Tile::default());
-        let changed = Some(&self.changed).filter(|c| c.len() == count);
-        let wanted = |i: u32| changed.is_none_or(|c| c[i as usize]);
-        place_again(&map.delta, map.confidence.as_deref(), grid, placement, &mut self.tiles, wanted);
-        self.changed.clear();
-        self.tiles.clone()
-    }
-}
 
 /// Tiles with their planes, still without background planes.
 #[derive(Clone, Debug)]
@@ -83,56 +17,91 @@ pub struct Placed {
     pub placement: Placement,
 }
 
-impl Stage for Planes {
-    const NAME: &'static str = "planes";
-    type Input<'a> = (&'a Prepared, &'a WeightedDisparity);
-    type Output = Placed;
+/// Stage from disparity to planes and labels of every tile.
+///
+/// # Errors
+/// [`MakeError`] if there is no time left.
+pub fn place_planes(context: &mut Context, prepared: &Prepared, map: &WeightedDisparity) -> Result<Placed, MakeError> {
+    let stage = context.begin("planes")?;
+    let (options, delta) = (context.options, &map.delta);
+    let (w, h) = (delta.width, delta.height);
+    let grid = options.grid(w, h);
+    let movement = Parallax::new(prepared.intrinsics, options.view_box);
+    let most_px = movement.most(Rect { x: 0, y: 0, w, h });
+    let mut max_error = options.max_error;
+    if let Some(asked) = options.budget_ms {
+        let budget = fit(context, asked, (delta, &grid), most_px, prepared.reduced, &mut max_error);
+        context.report.budget = Some(budget);
+    }
+    let mut placement = options.placement(max_error, most_px);
+    let confidence = map.confidence.as_deref();
+    let (mut tiles, mut before) = split(place_rounded(delta, confidence, &grid, &placement));
+    let most = most_planes(&grid);
+    if most < placement.most && !readable(&grid, &tiles) {
+        // small tiles on a large photo: use as few planes as readers accept in any photo of this grid
+        placement.most = most;
+        (tiles, before) = split(place_rounded(delta, confidence, &grid, &placement));
+    }
+    let (pixels, count) = (u64::from(w) * u64::from(h), tiles.len() as u64);
+    let placed: usize = tiles.iter().map(|t| t.planes.len()).sum();
+    let room = options.most_planes(pixels, count, context.limits.memory);
+    if options.planes == PlaneCount::Auto && placed as u64 > count * u64::from(room) {
+        // a large photo with almost only busy tiles: use fewer planes to stay within the memory limit
+        placement.most = room;
+        (tiles, before) = split(place_rounded(delta, confidence, &grid, &placement));
+    }
+    let input = &context.report.input;
+    let sizes = context.sizes.unwrap_or(Sizes::of_photo((input.width, input.height)));
+    let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>().div_ceil(tiles.len().max(1));
+    context.report.memory_bound_bytes = options.memory_with(&sizes, Some(w.max(h)), planes as u32);
+    let geometry = Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles, matted: false };
+    let error = &mut context.report.error;
+    (error.depth_mae, error.depth_mse, error.depth_q25) = discretisation_error(delta, &grid, &geometry.tiles);
+    let tiles = movement.of_planes(delta, &geometry);
+    error.tile_px = tiles.iter().map(|t| (t.mean * 1e3).round() / 1e3).collect();
+    error.planes = PlaneError { most_planes: placement.most, ..plane_error(&tiles, placement.target.map(|_| max_error)) };
+    error.planes.rounding_px = movement.of_rounding(&geometry, &before);
+    context.end(stage);
+    Ok(Placed { geometry, placement })
+}
 
-    fn run(&mut self, (prepared, map): (&Prepared, &WeightedDisparity), context: &mut Context) -> Result<Placed, MakeError> {
-        let (options, delta) = (context.options, &map.delta);
-        let (w, h) = (delta.width, delta.height);
-        let grid = options.grid(w, h);
-        let movement = Parallax::new(prepared.intrinsics, options.view_box);
-        let most_px = movement.most(Rect { x: 0, y: 0, w, h });
-        let mut max_error = options.max_error;
-        if let Some(asked) = options.budget_ms {
-            let budget = fit(context, asked, (delta, &grid), most_px, prepared.reduced, &mut max_error);
-            context.report.budget = Some(budget);
+/// The planes of a room's tiles, from which those of the next frame start; all frames must have the same size.
+#[derive(Debug, Default)]
+pub struct WarmStart {
+    tiles: Vec<Tile>,
+    /// Which tiles change in the next frame, by number; all do if the length differs from the number of tiles.
+    pub changed: Vec<bool>,
+    /// Most planes of tiles that the next frame places anew; `None`: the limit of the options. Tiles may keep more planes.
+    pub most: Option<u32>,
+}
+
+impl WarmStart {
+    /// Makes the next frame start from `tile` at tile `index` of the grid.
+    pub fn set_last_tile(&mut self, index: u32, tile: &Tile) {
+        if let Some(held) = self.tiles.get_mut(index as usize) {
+            *held = Tile { background: None, ..tile.clone() };
         }
-        let mut placement = options.placement(max_error, most_px);
-        let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles, matted: false };
-        if let Some(last) = &mut self.last {
-            placement.most = placement.most.min(most_planes(&grid)).min(last.most.unwrap_or(u32::MAX));
-            return Ok(Placed { geometry: scene(last.place(map, &grid, &placement)), placement });
-        }
-        let confidence = map.confidence.as_deref();
-        let (mut tiles, mut before) = split(place_rounded(delta, confidence, &grid, &placement));
-        let most = most_planes(&grid);
-        if most < placement.most && !readable(&grid, &tiles) {
-            // small tiles on a large photo: use as few planes as readers accept in any photo of this grid
-            placement.most = most;
-            (tiles, before) = split(place_rounded(delta, confidence, &grid, &placement));
-        }
-        let (pixels, count) = (u64::from(w) * u64::from(h), tiles.len() as u64);
-        let placed: usize = tiles.iter().map(|t| t.planes.len()).sum();
-        let room = options.most_planes(pixels, count, context.limits.memory);
-        if options.planes == PlaneCount::Auto && placed as u64 > count * u64::from(room) {
-            // a large photo with almost only busy tiles: use fewer planes to stay within the memory limit
-            placement.most = room;
-            (tiles, before) = split(place_rounded(delta, confidence, &grid, &placement));
-        }
-        let input = &context.report.input;
-        let sizes = context.sizes.unwrap_or(Sizes::of_photo((input.width, input.height)));
-        let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>().div_ceil(tiles.len().max(1));
-        context.report.memory_bound_bytes = options.memory_with(&sizes, Some(w.max(h)), planes as u32);
-        let geometry = scene(tiles);
-        let error = &mut context.report.error;
-        (error.depth_mae, error.depth_mse, error.depth_q25) = discretisation_error(delta, &grid, &geometry.tiles);
-        let tiles = movement.of_planes(delta, &geometry);
-        error.tile_px = tiles.iter().map(|t| (t.mean * 1e3).round() / 1e3).collect();
-        error.planes = PlaneError { most_planes: placement.most, ..plane_error(&tiles, placement.target.map(|_| max_error)) };
-        error.planes.rounding_px = movement.of_rounding(&geometry, &before);
-        Ok(Placed { geometry, placement })
+    }
+
+    /// Stage of the next frame, without background planes. Does not choose a time budget, check memory or measure errors, as
+    /// [`place_planes`] does for a photo: the room does that itself.
+    ///
+    /// # Errors
+    /// [`MakeError`] if there is no time left.
+    pub fn place(&mut self, context: &mut Context, intrinsics: Intrinsics, delta: &DisparityMap) -> Result<Geometry, MakeError> {
+        let stage = context.begin("planes")?;
+        let (options, w, h) = (context.options, delta.width, delta.height);
+        let (grid, count) = (options.grid(w, h), options.grid(w, h).tiles() as usize);
+        let most_px = Parallax::new(intrinsics, options.view_box).most(Rect { x: 0, y: 0, w, h });
+        let mut placement = options.placement(options.max_error, most_px);
+        placement.most = placement.most.min(most_planes(&grid)).min(self.most.unwrap_or(u32::MAX));
+        self.tiles.resize(count, Tile::default());
+        let changed = Some(&self.changed).filter(|c| c.len() == count);
+        let wanted = |i: u32| changed.is_none_or(|c| c[i as usize]);
+        place_again(delta, None, &grid, &placement, &mut self.tiles, wanted);
+        self.changed.clear();
+        context.end(stage);
+        Ok(Geometry { grid, intrinsics, view_box: options.view_box, tiles: self.tiles.clone(), matted: false })
     }
 }
 

@@ -8,7 +8,7 @@ use tmpi_render::difference::{psnr, psnr_of};
 use tmpi_render::draw_reference_view;
 
 use super::Encoded;
-use crate::run::{Context, MakeError, PruneError, Stage, prune_error};
+use crate::run::{Context, MakeError, PruneError, prune_error};
 
 /// Most pixels of a photo that is drawn as a whole; with more, it would take too long compared to making.
 const MOST_WHOLE: usize = 1 << 17;
@@ -16,23 +16,16 @@ const MOST_WHOLE: usize = 1 << 17;
 const ROW_STEP: u32 = 12;
 
 /// Stage that measures the errors of the container's photo, of the reference view that a reader draws, and of pruning.
-#[derive(Debug, Default)]
-pub struct Verify;
-
-impl Stage for Verify {
-    const NAME: &'static str = "verify";
-    type Input<'a> = (&'a Photo, &'a Encoded);
-    type Output = ();
-
-    fn run(&mut self, (photo, made): (&Photo, &Encoded), context: &mut Context) -> Result<(), MakeError> {
-        let all = context.options.verify_prune;
-        let (reader, pruned) = rayon::join(|| reader_errors(photo, made), || pruned(made, all));
-        let (reader, error) = (reader?, &mut context.report.error);
-        (error.codec_psnr, error.identity_psnr, error.identity_tiles) = (reader.codec_psnr, reader.identity_psnr, reader.tiles);
-        error.hidden_psnr = reader.hidden_psnr;
-        error.prune = pruned?;
-        Ok(())
-    }
+pub(crate) fn verify_container(context: &mut Context, photo: &Photo, made: &Encoded) -> Result<(), MakeError> {
+    let stage = context.begin("verify")?;
+    let all = context.options.verify_prune;
+    let (reader, pruned) = rayon::join(|| reader_errors(photo, made), || pruned(made, all));
+    let (reader, error) = (reader?, &mut context.report.error);
+    (error.codec_psnr, error.identity_psnr, error.identity_tiles) = (reader.codec_psnr, reader.identity_psnr, reader.tiles);
+    error.hidden_psnr = reader.hidden_psnr;
+    error.prune = pruned?;
+    context.end(stage);
+    Ok(())
 }
 
 fn pruned(made: &Encoded, all: bool) -> Result<Option<PruneError>, MakeError> {
