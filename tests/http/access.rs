@@ -104,9 +104,8 @@ fn an_upload_without_a_secret_is_answered_with_the_photos_token() {
         assert!(matches!(of(&address, wrong).status, 401 | 404), "{wrong}");
     }
     // a browser keeps the secret as a cookie; pages of other sites cannot use it
-    let kept = ask(&server, "POST", "/v1/owner", &[("authorization", &format!("Bearer {secret}"))], &[]);
-    assert_eq!(kept.status, 204);
-    let cookie = kept.header("set-cookie").unwrap().to_owned();
+    let cookie = ask(&server, "POST", "/v1/owner", &[("authorization", &format!("Bearer {secret}"))], &[]).is(204);
+    let cookie = cookie.header("set-cookie").unwrap().to_owned();
     assert!(cookie.contains("; HttpOnly; SameSite=Lax") && !cookie.contains("Secure"), "{cookie}");
     let pair = cookie.split(';').next().unwrap();
     let by_cookie = |headers: &[(&str, &str)]| {

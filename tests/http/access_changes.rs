@@ -24,15 +24,12 @@ fn event_streams_end_with_their_credential() {
     let server = private_with(Limits::default(), gate.clone());
     let key = |scopes: &[Scope]| key_fixture::add(server.data(), "site", scopes);
     let (owner, reader) = (key(&[Scope::Upload, Scope::Read]), key(&[Scope::Read]));
-    let accepted = ask(&server, "POST", "/v1/photos", &[("authorization", &owner)], &jpeg(1));
-    assert_eq!(accepted.status, 202);
-    let photo = id(&accepted.json());
+    let photo = id(&ask(&server, "POST", "/v1/photos", &[("authorization", &owner)], &jpeg(1)).is(202).json());
     gate.wait_started(1);
     let json = ("content-type", "application/json");
     let show = |visibility: &str| {
         let body = format!("{{\"visibility\": {visibility:?}}}");
-        let answer = ask(&server, "PATCH", &format!("/v1/photos/{photo}"), &[("authorization", &owner), json], body.as_bytes());
-        assert_eq!(answer.status, 200);
+        ask(&server, "PATCH", &format!("/v1/photos/{photo}"), &[("authorization", &owner), json], body.as_bytes()).is(200);
     };
     let open = |query: &str, who: Option<&str>| {
         let headers: Vec<_> = [HOST].into_iter().chain(who.map(|who| ("authorization", who))).collect();

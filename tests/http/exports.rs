@@ -56,7 +56,7 @@ fn a_file_is_written_once_for_all_callers_and_survives_a_restart() {
     assert_ne!(written(server.addr, &photo, "format=glb&shape=metric")["key"], state["key"]);
     // counters may lag behind the state
     for line in ["{class=\"export\",outcome=\"done\"} 2", "{class=\"interactive\",outcome=\"done\"} 1"] {
-        let counted = || String::from_utf8(get(server.addr, "/metrics").body).unwrap().contains(&format!("tmpi_jobs_total{line}"));
+        let counted = || get(server.addr, "/metrics").text().contains(&format!("tmpi_jobs_total{line}"));
         wait_until(line, counted);
     }
 
@@ -103,8 +103,7 @@ fn files_are_deleted_with_their_photo_and_when_it_is_made_again() {
     let (server, photo) = start(Limits::default());
     let made = |parameters| written(server.addr, &photo, parameters)["links"]["self"].as_str().unwrap().to_owned();
     let before = made("format=glb");
-    let again = request(server.addr, "POST", &format!("/v1/photos/{photo}/remake?class=batch"), &[("prefer", "wait=20")], &[]);
-    assert_eq!(again.status, 200);
+    request(server.addr, "POST", &format!("/v1/photos/{photo}/remake?class=batch"), &[("prefer", "wait=20")], &[]).is(200);
     get(server.addr, &before).problem(404);
     let after = made("format=glb");
     assert_ne!(before, after);
@@ -221,8 +220,7 @@ mod processes {
     }
 
     fn working(addr: SocketAddr, photo: &str, parameters: &str) -> String {
-        let ordered = order(addr, photo, parameters);
-        assert_eq!(ordered.status, 202, "{}", String::from_utf8_lossy(&ordered.body));
+        let ordered = order(addr, photo, parameters).is(202);
         let location = ordered.header("location").unwrap().to_owned();
         ended(addr, &location, "working");
         location
@@ -303,12 +301,11 @@ mod processes {
         let maker = server.hold();
         let mut client = Connection::open(server.addr);
         client.send("GET", &format!("/v1/photos/{photo}/export?format=zip"), &[], &[]);
-        let busy = || String::from_utf8(get(server.addr, "/metrics").body).unwrap();
-        let held = |text: &str| text.lines().find_map(|l| l.strip_prefix("tmpi_job_memory_bytes ")?.parse::<f64>().ok()).unwrap_or(0.0);
-        wait_until("the export runs", || held(&busy()) > 0.0);
+        let held = || figure(server.addr, "tmpi_job_memory_bytes");
+        wait_until("the export runs", || held() > 0);
         drop(client);
         wait_until("its process ends with the client", || maker.has_ended());
-        wait_until("its memory is free", || held(&busy()) == 0.0);
+        wait_until("its memory is free", || held() == 0);
         let whole = get(server.addr, &format!("/v1/photos/{photo}/export?format=zip"));
         assert_eq!((whole.status, &whole.body[..4]), (200, b"PK\x03\x04".as_slice()));
         let state = written(server.addr, &photo, "format=zip");

@@ -185,9 +185,7 @@ impl Running {
 
     /// Uploads a picture and returns its id.
     pub fn upload(&self, photo: &[u8]) -> String {
-        let response = client::request(self.addr, "POST", "/v1/photos", &[], photo);
-        assert_eq!(response.status, 202, "{}", String::from_utf8_lossy(&response.body));
-        id(&response.json())
+        id(&client::request(self.addr, "POST", "/v1/photos", &[], photo).is(202).json())
     }
 
     /// Uploads a picture and waits until it is made; returns its id.
@@ -267,7 +265,7 @@ pub fn id(state: &Value) -> String {
 
 /// A value of a server's metrics; 0 if it is missing.
 pub fn figure(addr: SocketAddr, name: &str) -> u64 {
-    let text = String::from_utf8(client::get(addr, "/metrics").body).unwrap();
+    let text = client::get(addr, "/metrics").text();
     let value = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse::<f64>().ok());
     value.unwrap_or_default() as u64
 }

@@ -120,8 +120,7 @@ fn a_request_that_takes_too_long_is_ended() {
     let gate = Gate::new(0);
     let server = Running::with(limits, gate.clone());
     // `Prefer: wait` ends before the request's timeout
-    let waited = request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=60")], &jpeg(1));
-    assert_eq!(waited.status, 202);
+    request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=60")], &jpeg(1)).is(202);
     gate.open(1);
 }
 
@@ -134,7 +133,7 @@ fn connections_over_the_limit_wait_their_turn() {
     third.send("GET", "/healthz", &[], &[]);
     // meanwhile the server serves the open connections
     for _ in 0..100 {
-        let metrics = String::from_utf8(b.request("GET", "/metrics", &[], &[]).body).unwrap();
+        let metrics = b.request("GET", "/metrics", &[], &[]).text();
         assert!(metrics.lines().any(|l| l == "tmpi_connections 2"), "{metrics}");
     }
     third.raw().set_nonblocking(true).unwrap();
@@ -221,9 +220,7 @@ fn a_server_fault_is_reported_and_the_photo_waits_until_it_is_fixed() {
     let server = Running::with(Limits { attempts: 1, ..Limits::default() }, failing(faults));
     let id = server.upload(&jpeg(1));
     wait_until("the state has the reason", || server.state(&id)["waits_for"] == "no library");
-    let ready = get(server.addr, "/readyz");
-    assert_eq!(ready.status, 503);
-    assert_eq!(ready.json()["detail"], "no library");
+    assert_eq!(get(server.addr, "/readyz").is(503).json()["detail"], "no library");
     server.wait(&id, "done");
     assert_eq!(get(server.addr, "/readyz").status, 200);
 }

@@ -308,8 +308,7 @@ fn groups_are_the_same_for_every_caller(addr: SocketAddr, epoch: u64, publisher:
     assert!(model.geometry().is_some());
     let (first, second) = (frames(&first), frames(&second));
     assert_eq!((second[0], second.len() >= 2), (first[first.len() - 1] + 1, true));
-    let newest = at("latest");
-    assert_eq!(newest.status, 307);
+    let newest = at("latest").is(307);
     assert!(newest.header("location").is_some_and(|l| l.starts_with(&format!("{epoch}-")) && l > format!("{epoch}-1").as_str()));
     // only one address for each group
     let wrong = ["1-0", "0-0", "one", "-", "E", "E-", "E-9", "E-00", "E--1", "E-0-1", "+E-0", "0E-0", "E-99999999999999999999"];

@@ -39,8 +39,8 @@ fn frames_of_other_sites_show_only_the_photo() {
     assert_eq!(ancestors(&embed), "*");
     assert_eq!(server.state(&id)["links"]["embed"], embed);
     // the page contains no form, no button and no script that changes anything
-    let page = String::from_utf8(get(server.addr, &embed).body).unwrap();
-    let script = String::from_utf8(get(server.addr, "/static/app/embed-page.js").body).unwrap();
+    let page = get(server.addr, &embed).text();
+    let script = get(server.addr, "/static/app/embed-page.js").text();
     for word in ["<form", "<button", "<input", "PATCH", "DELETE", "POST", "api.js"] {
         assert!(!page.contains(word) && !script.contains(word), "{word}");
     }

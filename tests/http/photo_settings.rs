@@ -55,8 +55,7 @@ fn settings_stay_with_the_photo() {
     assert_eq!(request(server.addr, "GET", &photo, &[("if-none-match", &etag)], &[]).status, 304);
 
     let wanted = json!({ "title": "A box", "motion": { "x": 0.5 }, "focus": 0.4, "start": { "x": -0.25 }, "poster": { "x": 1, "y": -1 } });
-    let changed = patch(&server, &photo, &[("if-match", &etag)], &wanted);
-    assert_eq!(changed.status, 200, "{}", String::from_utf8_lossy(&changed.body));
+    let changed = patch(&server, &photo, &[("if-match", &etag)], &wanted).is(200);
     let settings = changed.json()["settings"].clone();
     assert_eq!(settings["title"], "A box");
     assert_eq!(settings["motion"], json!({ "x": 0.5, "y": 1.0, "z": 1.0 }));

@@ -84,7 +84,7 @@ fn with_presets_only_administrators_alone_give_options() {
     assert!(poster.contains("w=640") && poster.contains("tz=0."), "{poster}");
     assert_eq!(ask(&server, "GET", poster, &[], &[]).status, 200);
     assert_eq!(ask(&server, "GET", &poster.replace("tz=0.", "tz=1."), &[], &[]).status, 403, "another camera");
-    let page = String::from_utf8(ask(&server, "GET", &format!("/view/{photo}"), &[], &[]).body).unwrap().replace("&amp;", "&");
+    let page = ask(&server, "GET", &format!("/view/{photo}"), &[], &[]).text().replace("&amp;", "&");
     let card = page.split("og:image\" content=\"http://photos.example").nth(1).unwrap().split('"').next().unwrap();
     assert_eq!(ask(&server, "GET", card, &[], &[]).header("content-type"), Some("image/jpeg"), "{card}");
 }

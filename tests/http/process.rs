@@ -208,9 +208,7 @@ pub fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
         format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: {}\r\n\r\n", body.len());
     connection.raw().write_all(head.as_bytes()).ok()?;
     connection.raw().write_all(&body).ok()?;
-    let answer = connection.receive("POST").ok()?;
-    assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
-    Some(id(&answer.json()))
+    Some(id(&connection.receive("POST").ok()?.is(202).json()))
 }
 
 /// A picture that takes a while to make and does not fit into a pipe.
@@ -232,7 +230,5 @@ pub fn sized(seed: u32, width: u32, height: u32) -> Vec<u8> {
 pub fn upload_with(addr: SocketAddr, photo: &[u8], options: &[(&str, &[u8])]) -> String {
     let depth = depth_map();
     let (content_type, body) = form(&[&[("photo", photo), ("depth", &depth)], options].concat());
-    let answer = request(addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body);
-    assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
-    id(&answer.json())
+    id(&request(addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body).is(202).json())
 }

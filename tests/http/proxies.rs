@@ -59,8 +59,7 @@ fn users_of_a_trusted_proxy_own_their_photos() {
     let server = Running::configured(Arc::new(pipeline()), |config| Config { private: true, proxies: with_users("127.0.0.1"), ..config });
     let by = |headers: &[(&str, &str)], method: &str, path: &str| ask(&server, method, path, headers, &[]);
     let jane = ("remote-user", "jané");
-    let stored = ask(&server, "POST", "/v1/photos", &[jane], &jpeg(1));
-    assert_eq!(stored.status, 202);
+    let stored = ask(&server, "POST", "/v1/photos", &[jane], &jpeg(1)).is(202);
     assert!(stored.json()["links"]["manage"].is_null(), "she needs no token of the photo");
     let photo = id(&stored.json());
     let at = format!("/v1/photos/{photo}");

@@ -141,9 +141,7 @@ fn a_clients_trace_continues_after_a_restart() {
     let accepts = Running::configured(Gate::new(0), |config| Config { traces, limits, ..config });
     let upload = |seed, sampled| {
         let parent = format!("00-{trace}-{outer}-{sampled}");
-        let answer = request(accepts.addr, "POST", "/v1/photos", &[("traceparent", &parent)], &jpeg(seed));
-        assert_eq!(answer.status, 202);
-        id(&answer.json())
+        id(&request(accepts.addr, "POST", "/v1/photos", &[("traceparent", &parent)], &jpeg(seed)).is(202).json())
     };
     let (told, untold) = (upload(1, "01"), upload(2, "00"));
     let worker = accepts.restarted();
@@ -217,9 +215,8 @@ fn the_program_sends_stages_of_child_processes_and_flushes_spans_when_it_stops()
             (Vec::new(), vec![("OTEL_EXPORTER_OTLP_ENDPOINT", url), ("OTEL_SERVICE_NAME", "attic")])
         };
         let server = Process::start_in(dir.path(), &arguments, &environment);
-        let answer = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &depth_map())]);
-        assert_eq!(answer.status, 202);
-        let photo = format!("/v1/photos/{}", answer.json()["id"].as_str().unwrap());
+        let photo = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &depth_map())]).is(202).json();
+        let photo = format!("/v1/photos/{}", id(&photo));
         wait_until("it is made", || get(server.addr, &photo).json()["state"] == "done");
         assert_eq!(get(server.addr, "/v1/photos").status, 200);
         let (status, log) = server.terminate();

@@ -30,8 +30,7 @@ fn send(server: &Running, method: &str, path: &str, body: &Value) -> Response {
 
 /// Adds a webhook; returns its id and secret.
 fn add(server: &Running, fields: &Value) -> (String, String) {
-    let answer = send(server, "POST", "/v1/webhooks", fields);
-    assert_eq!(answer.status, 201, "{}", String::from_utf8_lossy(&answer.body));
+    let answer = send(server, "POST", "/v1/webhooks", fields).is(201);
     let added = answer.json();
     let text = |name: &str| added[name].as_str().unwrap().to_owned();
     assert_eq!(answer.header("location"), Some(format!("/v1/webhooks/{}", text("id")).as_str()));
@@ -40,9 +39,8 @@ fn add(server: &Running, fields: &Value) -> (String, String) {
 }
 
 fn ping(server: &Running, webhook: &str) -> String {
-    let answer = send(server, "POST", &format!("/v1/webhooks/{webhook}/test"), &Value::Null);
-    assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
-    answer.json()["delivery"].as_str().unwrap().to_owned()
+    let told = send(server, "POST", &format!("/v1/webhooks/{webhook}/test"), &Value::Null).is(202).json();
+    told["delivery"].as_str().unwrap().to_owned()
 }
 
 /// All deliveries of a webhook, newest first, page by page.

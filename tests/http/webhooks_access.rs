@@ -17,9 +17,7 @@ fn send(server: &Running, who: &str, method: &str, path: &str, body: &Value) -> 
 }
 
 fn add(server: &Running, who: &str, url: &str) -> String {
-    let answer = send(server, who, "POST", "/v1/webhooks", &json!({ "url": url }));
-    assert_eq!(answer.status, 201, "{}", String::from_utf8_lossy(&answer.body));
-    id(&answer.json())
+    id(&send(server, who, "POST", "/v1/webhooks", &json!({ "url": url })).is(201).json())
 }
 
 fn photos(receiver: &Receiver) -> Vec<String> {
