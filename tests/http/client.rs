@@ -153,6 +153,13 @@ pub fn get(addr: SocketAddr, path: &str) -> Response {
     request(addr, "GET", path, &[], &[])
 }
 
+/// Sends bytes as they are on a connection of their own, and reads the answer.
+pub fn send_raw(addr: SocketAddr, bytes: &[u8]) -> Response {
+    let mut connection = Connection::open(addr);
+    connection.raw().write_all(bytes).unwrap();
+    connection.receive("POST").unwrap()
+}
+
 /// A multipart form of named parts.
 pub fn form(parts: &[(&str, &[u8])]) -> (String, Vec<u8>) {
     let boundary = "a-boundary-that-is-in-no-part";

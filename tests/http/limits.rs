@@ -16,13 +16,8 @@ fn the_body_at_its_limit_and_one_byte_over() {
     assert!(request(server.addr, "POST", "/v1/photos", &[], &over).problem(413)["detail"].as_str().unwrap().contains("limit"));
     post_form(server.addr, &[], &[("photo", &photo)]).problem(413);
     // without `Content-Length` the server has to count
-    let mut connection = Connection::open(server.addr);
-    let raw = connection.raw();
-    raw.write_all(b"POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: chunked\r\n\r\n").unwrap();
-    raw.write_all(format!("{:x}\r\n", over.len()).as_bytes()).unwrap();
-    raw.write_all(&over).unwrap();
-    raw.write_all(b"\r\n0\r\n\r\n").unwrap();
-    connection.receive("POST").unwrap().problem(413);
+    let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: chunked\r\n\r\n{:x}\r\n", over.len());
+    send_raw(server.addr, &[head.as_bytes(), &over, b"\r\n0\r\n\r\n"].concat()).problem(413);
 }
 
 #[test]
@@ -105,11 +100,9 @@ fn a_full_disk_drops_what_can_be_made_again() {
 fn a_body_that_stops_is_408_and_leaves_nothing() {
     let server = Running::with(Limits { body_read: Duration::from_millis(200), ..Limits::default() }, Arc::new(pipeline()));
     for content_type in ["image/jpeg", "multipart/form-data; boundary=x"] {
-        let mut stuck = Connection::open(server.addr);
         let head =
             format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: 1000\r\n\r\n--x\r\n");
-        stuck.raw().write_all(head.as_bytes()).unwrap();
-        stuck.receive("POST").unwrap().problem(408);
+        send_raw(server.addr, head.as_bytes()).problem(408);
     }
     wait_until("nothing is left", || incoming(server.data()) == 0);
 }
@@ -255,10 +248,8 @@ fn a_body_on_a_route_that_reads_none_is_refused_and_the_answer_names_the_query()
         }
         // chunked, without a length in the header
         let chunked = |body: &str| {
-            let mut connection = Connection::open(server.addr);
             let head = format!("POST {path} HTTP/1.1\r\nhost: {}\r\ntransfer-encoding: chunked\r\n\r\n", server.addr);
-            connection.raw().write_all((head + body).as_bytes()).unwrap();
-            connection.receive("POST").unwrap()
+            send_raw(server.addr, (head + body).as_bytes())
         };
         chunked("2\r\n{}\r\n0\r\n\r\n").problem(400);
         assert!(chunked("0\r\n\r\n").status < 300, "{path}");
