@@ -1,7 +1,5 @@
 //! Permissions on a server with `--access private`.
 
-use std::time::{SystemTime, UNIX_EPOCH};
-
 use crate::key_fixture;
 use crate::prelude::*;
 
@@ -139,7 +137,7 @@ fn links_last_no_longer_than_the_configured_limit() {
     let links = |query: &str| ask(&server, "POST", &format!("/v1/photos/{one}/links{query}"), &[("authorization", &ann)], &[]);
     let refused = links("?seconds=3601").problem(400);
     assert!(refused["detail"].as_str().unwrap().contains("1 to 3600"), "{refused}");
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs();
+    let now = seconds_now();
     for query in ["", "?seconds=3600"] {
         let expires = links(query).json()["expires"].as_u64().unwrap();
         assert!((now + 3600..now + 3660).contains(&expires), "{query}");

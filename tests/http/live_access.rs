@@ -1,7 +1,5 @@
 //! Tokens of rooms, and pages of other sites.
 
-use std::time::{SystemTime, UNIX_EPOCH};
-
 use tmpi::live::Grant::{Publish, Watch};
 use tmpi::live::room_token;
 use tmpi_core::live::schema::message::Kind;
@@ -36,7 +34,7 @@ fn strangers_need_a_token_and_pages_of_other_sites_are_refused() {
 #[test]
 fn a_socket_closes_when_its_token_expires() {
     let server = server();
-    let ends = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() + 3;
+    let ends = seconds_now() + 3;
     let token = |role| format!("Bearer {}", room_token(KEY, role, "attic", ends));
     let come = |path: &str, role| {
         let headers = [("host", "photos.example"), ("authorization", &token(role))];

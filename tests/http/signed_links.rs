@@ -1,7 +1,6 @@
 //! Links that an application signs with its key.
 
 use std::process::Command;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use hmac::{Hmac, KeyInit as _, Mac as _};
 use sha2::{Digest as _, Sha256};
@@ -21,7 +20,7 @@ fn signature(key: &str, text: &str) -> String {
 /// `address` with `key` and `expires`, unsigned.
 fn unsigned(key: &str, address: &str, seconds: u64) -> String {
     let id = &hex(&Sha256::digest(key.strip_prefix("Bearer ").unwrap()))[..8];
-    let expires = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() + seconds;
+    let expires = seconds_now() + seconds;
     format!("{address}{}key={id}&expires={expires}", if address.contains('?') { '&' } else { '?' })
 }
 

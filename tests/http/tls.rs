@@ -125,8 +125,7 @@ fn requests_on_a_keep_alive_connection_over_tls() {
 fn hsts_is_sent_over_tls() {
     let told = |server: Running, limits: Limits, paths: &[&str]| {
         let server = over_tls(server, limits);
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        let one = runtime.block_on(async {
+        let one = block_on(async {
             let sender = second(server.addr, &mut h2::client::Builder::new()).await;
             let mut sender = sender.ready().await.unwrap();
             let (answer, _) = sender.send_request(asks("GET", "/healthz", "localhost"), true).unwrap();
@@ -160,8 +159,7 @@ fn hsts_is_sent_over_tls() {
 #[test]
 fn http_2_announces_the_configured_limit_of_streams() {
     let server = over_tls(Running::open(), Limits { streams_at_once: 3, ..Limits::default() });
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
+    block_on(async {
         let sender = second(server.addr, &mut h2::client::Builder::new()).await;
         assert_eq!(fetch(&sender, asks("GET", "/healthz", "localhost")).await.0, 200);
         assert_eq!(sender.current_max_send_streams(), 3);
@@ -177,8 +175,7 @@ fn large(mut photo: Vec<u8>) -> Vec<u8> {
 #[test]
 fn many_requests_at_a_time_over_http_2() {
     let (server, id, atlas) = start(Limits::default());
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
+    block_on(async {
         let sender = second(server.addr, &mut h2::client::Builder::new()).await;
         let path = format!("/v1/photos/{id}/atlas");
         // a client knows how many requests the server takes at a time from its first answer on
@@ -257,8 +254,7 @@ fn stalled_silent_and_plain_text_connections_are_closed() {
         let ended = stream.read_to_end(&mut Vec::new());
         assert!(ended.is_ok_and(|n| n < 100));
     }
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
+    block_on(async {
         let small = atlas.len() as u32 / 4;
         let mut sender = second(server.addr, h2::client::Builder::new().initial_window_size(small)).await.ready().await.unwrap();
         let (answer, _) = sender.send_request(asks("GET", &format!("/v1/photos/{id}/atlas"), "localhost"), true).unwrap();
@@ -282,8 +278,7 @@ fn stalled_silent_and_plain_text_connections_are_closed() {
         }
     });
     wait_until("no connection is left", || {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        let connections = runtime.block_on(async {
+        let connections = block_on(async {
             let sender = second(server.addr, &mut h2::client::Builder::new()).await;
             metric(&sender, "tmpi_connections").await
         });
@@ -301,8 +296,7 @@ fn unread_answers_share_a_bound_of_memory_and_others_are_served_meanwhile() {
     let (server, id, atlas) = start_with(&noise(), Limits::default());
     assert!(atlas.len() > 256 << 10, "a file that is read in pieces: {} bytes", atlas.len());
     let path = format!("/v1/photos/{id}/atlas");
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
+    block_on(async {
         let reader = second(server.addr, &mut h2::client::Builder::new()).await;
         let mut unread = Vec::new();
         for _ in 0..CONNECTIONS {
