@@ -64,14 +64,13 @@ fn photos_are_private_to_their_owner() {
     let none = "0".repeat(32);
     let of = |id: &str| plain(&ask(&server, "GET", &format!("/v1/photos/{id}/atlas?level=9"), &[("authorization", &bob)], &[]), id);
     assert!(of(&a).starts_with("404") && of(&a) == of(&none), "{}", of(&a));
-    let json = ("content-type", "application/json");
     // only the owner's own browser may cache a private photo
     let atlas = of_ann["links"]["atlas"].as_str().unwrap();
     let own = ask(&server, "GET", atlas, &[("authorization", &ann)], &[]);
     assert_eq!((own.status, own.header("cache-control")), (200, Some("private, no-cache")));
     assert!(own.all("vary").contains("authorization"));
     // with `visibility: link` everyone with the address sees it, and still only the owner may change it
-    let change = |body: &[u8]| ask(&server, "PATCH", &format!("/v1/photos/{a}"), &[("authorization", &ann), json], body).status;
+    let change = |body: &[u8]| ask(&server, "PATCH", &format!("/v1/photos/{a}"), &[("authorization", &ann), JSON], body).status;
     assert_eq!(change(br#"{"visibility": "link"}"#), 200);
     assert_eq!(ask(&server, "GET", atlas, &[], &[]).header("cache-control"), Some("public, max-age=31536000, immutable"));
     assert_eq!(ask(&server, "DELETE", &format!("/v1/photos/{a}"), &[("authorization", &bob)], &[]).status, 404);

@@ -239,7 +239,7 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
     for visibility in ["private", "link"] {
         let shown = visibility == "link";
         for (who, photo) in [(("authorization", &ann), &of_ann), (("authorization", &site), &of_site), ((jane.0, &jane.1), &of_jane)] {
-            let headers = [HOST, (who.0, who.1.as_str()), ("content-type", "application/json")];
+            let headers = [HOST, (who.0, who.1.as_str()), JSON];
             let body = format!("{{\"visibility\": {visibility:?}}}");
             assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{photo}"), &headers, body.as_bytes()).status, 200);
         }

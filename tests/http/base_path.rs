@@ -71,9 +71,8 @@ fn pages_name_addresses_below_the_path() {
 fn answers_name_addresses_below_the_path() {
     let (server, receiver) = (below(), Receiver::start(|_| Answer::of(204)));
     let ann = secret("a");
-    let call = |method: &str, path: &str, body: &[u8]| {
-        ask(&server, method, path, &[("authorization", &ann), ("prefer", "wait=60"), ("content-type", "application/json")], body)
-    };
+    let call =
+        |method: &str, path: &str, body: &[u8]| ask(&server, method, path, &[("authorization", &ann), ("prefer", "wait=60"), JSON], body);
     let hook = call("POST", "/3d/v1/webhooks", json!({ "url": receiver.url }).to_string().as_bytes());
     let hook = hook.header("location").unwrap().to_owned();
     assert!(hook.starts_with("/3d/v1/webhooks/") && call("GET", &hook, &[]).status == 200, "{hook}");

@@ -7,6 +7,9 @@ use std::time::Duration;
 
 use serde_json::Value;
 
+/// The header of a body in JSON.
+pub const JSON: (&str, &str) = ("content-type", "application/json");
+
 /// A response.
 #[derive(Debug)]
 pub struct Response {

@@ -50,8 +50,7 @@ fn a_file_is_written_once_for_all_callers_and_survives_a_restart() {
     let location = first.header("location").unwrap().to_owned();
     let state = ended(server.addr, &location, "done");
     assert_eq!((&state["parameters"]["format"], &state["parameters"]["shape"]), (&"glb".into(), &"relief".into()));
-    let object = [("content-type", "application/json")];
-    let again = request(server.addr, "POST", &address, &object, br#"{"shape": "relief", "format": "GLB"}"#);
+    let again = request(server.addr, "POST", &address, &[JSON], br#"{"shape": "relief", "format": "GLB"}"#);
     assert_eq!((again.status, again.header("location")), (200, Some(location.as_str())), "the same, said otherwise");
     assert_ne!(written(server.addr, &photo, "format=glb&shape=metric")["key"], state["key"]);
     // counters may lag behind the state
@@ -90,8 +89,8 @@ fn wrong_orders_are_refused_before_they_are_queued() {
     }
     let address = format!("/v1/photos/{photo}/exports");
     request(server.addr, "POST", &address, &[("content-type", "image/jpeg")], b"a picture").problem(415);
-    request(server.addr, "POST", &address, &[("content-type", "application/json")], &vec![b' '; 5000]).problem(413);
-    request(server.addr, "POST", &address, &[("content-type", "application/json")], b"[]").problem(400);
+    request(server.addr, "POST", &address, &[JSON], &vec![b' '; 5000]).problem(413);
+    request(server.addr, "POST", &address, &[JSON], b"[]").problem(400);
     get(server.addr, &format!("{address}/0123456789abcdef")).problem(404);
     let server = Running::with(Limits::default(), Gate::new(0));
     let early = order(server.addr, &server.upload(&jpeg(1)), "format=glb");
@@ -177,7 +176,7 @@ fn callers_who_see_a_photo_may_order_files_and_its_owner_may_cancel_them() {
     wait_until("it is written", || ask("GET", &location, Some(&ann)).json()["state"] == "done");
     ask("GET", &location, Some(&bob)).problem(404);
     ask("GET", &format!("{location}/file"), None).problem(404);
-    let shown = [HOST, ("authorization", ann.as_str()), ("content-type", "application/json")];
+    let shown = [HOST, ("authorization", ann.as_str()), JSON];
     assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{photo}"), &shown, br#"{"visibility": "link"}"#).status, 200);
     assert_eq!(ask("POST", &address, Some(&bob)).status, 200);
     assert_eq!(ask("GET", &format!("{location}/file"), None).status, 200);

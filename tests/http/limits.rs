@@ -243,7 +243,7 @@ fn a_body_on_a_route_that_reads_none_is_refused_and_the_answer_names_the_query()
         [at("links"), at("manage"), at("remake"), "/v1/owner".to_owned(), "/v1/network".to_owned(), "/v1/live/attic/token".to_owned()]
     {
         for body in [&br#"{"seconds": 60}"#[..], b"{}", b" "] {
-            let refused = request(server.addr, "POST", &path, &[("content-type", "application/json")], body).problem(400);
+            let refused = request(server.addr, "POST", &path, &[JSON], body).problem(400);
             assert!(refused["detail"].as_str().unwrap().contains("query"), "{path}: {refused}");
         }
         // chunked, without a length in the header

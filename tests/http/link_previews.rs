@@ -13,9 +13,8 @@ fn call(server: &Running, path: &str, headers: &[(&str, &str)]) -> Response {
 }
 
 fn rename(server: &Running, id: &str, title: &str) {
-    let headers = [("content-type", "application/json")];
     let body = json!({ "title": title, "poster": { "x": 1 } }).to_string();
-    request(server.addr, "PATCH", &format!("/v1/photos/{id}"), &headers, body.as_bytes()).is(200);
+    request(server.addr, "PATCH", &format!("/v1/photos/{id}"), &[JSON], body.as_bytes()).is(200);
 }
 
 fn unescaped(text: &str) -> String {

@@ -23,7 +23,7 @@ fn if_match_protects_a_changed_photo_from_deletion_and_again_answers_a_location(
     let again = own("POST", &format!("{at}/remake"), &[("prefer", "wait=60")], &[]);
     assert_eq!((again.status, again.header("location")), (200, Some(at.as_str())));
     let seen = own("GET", &at, &[], &[]).header("etag").unwrap().to_owned();
-    assert_eq!(own("PATCH", &at, &[("content-type", "application/json")], br#"{"title": "The attic"}"#).status, 200);
+    assert_eq!(own("PATCH", &at, &[JSON], br#"{"title": "The attic"}"#).status, 200);
     assert_eq!(own("DELETE", &at, &[("if-match", &seen)], &[]).problem(412)["field"], "If-Match");
     let now = own("GET", &at, &[], &[]).header("etag").unwrap().to_owned();
     assert_eq!(own("DELETE", &at, &[("if-match", &now)], &[]).status, 204);

@@ -70,7 +70,7 @@ fn one_node_accepts_a_photo_another_makes_it_and_a_third_serves_it() {
     let part = request(b.addr, "GET", &path("/atlas"), &[("range", "bytes=2-9"), ("if-range", atlas.header("etag").unwrap())], &[]);
     assert_eq!((part.status, part.body.as_slice()), (206, &atlas.body[2..10]));
     assert_eq!(get(b.addr, &path("/view?w=32")).status, 200);
-    request(a.addr, "PATCH", &path(""), &[("content-type", "application/json")], br#"{"title": "A name"}"#).is(200);
+    request(a.addr, "PATCH", &path(""), &[JSON], br#"{"title": "A name"}"#).is(200);
     assert_eq!(state(b.addr, &id)["settings"]["title"], "A name");
     // any node serves a file that the worker wrote
     let ordered = request(a.addr, "POST", &path("/exports?format=html"), &[], &[]);

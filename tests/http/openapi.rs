@@ -22,8 +22,7 @@ fn every_route_of_the_document_answers_as_it_says() {
     wait_until("a frame is done", || get(server.addr, "/v1/live/attic/frames/latest/atlas").status == 200);
     let newest = get(server.addr, "/v1/live/attic/gops/latest");
     let first = format!("{}-0", newest.header("location").unwrap().split('-').next().unwrap());
-    let json: &[(&str, &str)] = &[("content-type", "application/json")];
-    let webhook = request(server.addr, "POST", "/v1/webhooks", json, WEBHOOK).json()["id"].as_str().unwrap().to_owned();
+    let webhook = request(server.addr, "POST", "/v1/webhooks", &[JSON], WEBHOOK).json()["id"].as_str().unwrap().to_owned();
     let mut deletions = Vec::new();
     let mut count = 0;
     for (path, item) in document["paths"].as_object().unwrap() {
@@ -65,8 +64,8 @@ fn written(server: &Running, photo: &str) -> String {
 fn check(server: &Running, (method, path, operation): &(String, String, &Value)) {
     let (headers, body): (&[_], _) = match method.as_str() {
         "POST" if path == "/v1/photos" => (&[], jpeg(2)),
-        "POST" if path == "/v1/webhooks" => (&[("content-type", "application/json")], WEBHOOK.to_vec()),
-        "PATCH" => (&[("content-type", "application/json")], b"{}".to_vec()),
+        "POST" if path == "/v1/webhooks" => (&[JSON], WEBHOOK.to_vec()),
+        "PATCH" => (&[JSON], b"{}".to_vec()),
         _ => (&[], Vec::new()),
     };
     let answer = request(server.addr, method, path, headers, &body);

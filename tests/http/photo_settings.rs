@@ -4,10 +4,11 @@ use tmpi_testing::Need;
 
 use crate::prelude::*;
 
-const JSON: (&str, &str) = ("content-type", "application/merge-patch+json");
+/// The header of a merge patch.
+pub const PATCH: (&str, &str) = ("content-type", "application/merge-patch+json");
 
-fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) -> Response {
-    request(server.addr, "PATCH", photo, &[&[JSON], headers].concat(), body.to_string().as_bytes())
+pub fn patch(server: &Running, path: &str, headers: &[(&str, &str)], body: &Value) -> Response {
+    request(server.addr, "PATCH", path, &[&[PATCH], headers].concat(), body.to_string().as_bytes())
 }
 
 #[test]
@@ -85,10 +86,10 @@ fn a_wrong_setting_is_named_and_changes_nothing() {
     request(server.addr, "PATCH", &photo, &[("content-type", "text/plain")], b"{}").problem(415);
     request(server.addr, "PATCH", &photo, &[], b"{}").problem(415);
     let at_limit = format!("{{{}}}", " ".repeat((16 << 10) - 2));
-    assert_eq!(request(server.addr, "PATCH", &photo, &[JSON], at_limit.as_bytes()).status, 200);
-    request(server.addr, "PATCH", &photo, &[JSON], format!("{at_limit} ").as_bytes()).problem(413);
-    request(server.addr, "PATCH", "/v1/photos/0123456789abcdef0123456789abcdef", &[JSON], b"{}").problem(404);
-    let foreign = request(server.addr, "PATCH", &photo, &[JSON, ("sec-fetch-site", "cross-site")], b"{}");
+    assert_eq!(request(server.addr, "PATCH", &photo, &[PATCH], at_limit.as_bytes()).status, 200);
+    request(server.addr, "PATCH", &photo, &[PATCH], format!("{at_limit} ").as_bytes()).problem(413);
+    request(server.addr, "PATCH", "/v1/photos/0123456789abcdef0123456789abcdef", &[PATCH], b"{}").problem(404);
+    let foreign = request(server.addr, "PATCH", &photo, &[PATCH, ("sec-fetch-site", "cross-site")], b"{}");
     assert_eq!(foreign.problem(403)["type"], "urn:tmpi:problem:cross-site");
     assert_eq!(get(server.addr, &photo).json()["settings"], json!({ "version": 1 }));
 }

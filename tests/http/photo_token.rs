@@ -2,8 +2,6 @@
 
 use crate::prelude::*;
 
-const JSON: (&str, &str) = ("content-type", "application/json");
-
 /// The links of a photo that its owner can share.
 fn links(server: &Running, who: &str, photo: &str) -> Value {
     ask(server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", who)], &[]).is(200).json()

@@ -77,7 +77,7 @@ fn with_presets_only_administrators_alone_give_options() {
     assert_eq!(order(&ann, "path=orbit&frames=2").problem(403)["field"], "path");
     assert!(matches!(order(&ann, "preset=loop").status, 200 | 202) && matches!(order(&ann, "format=glb").status, 200 | 202));
     // pictures of which the server gives the address
-    let patch = [("authorization", ann.as_str()), ("content-type", "application/json")];
+    let patch = [("authorization", ann.as_str()), JSON];
     assert_eq!(ask(&server, "PATCH", &at, &patch, br#"{"poster": {"x": 0.5, "y": 0, "z": 0}}"#).status, 200);
     let state = get(&ann, "").json();
     let poster = state["links"]["poster"].as_str().unwrap();

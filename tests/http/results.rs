@@ -438,6 +438,5 @@ fn text_is_compressed_if_accepted_and_pictures_and_containers_never_are() {
     }
     // `If-Match` accepts the tag of a compressed answer
     let seen = ask(&photo, "gzip").header("etag").unwrap().to_owned();
-    let patch = [("content-type", "application/json"), ("if-match", &seen)];
-    assert_eq!(request(server.addr, "PATCH", &photo, &patch, br#"{"title": "A"}"#).status, 200);
+    assert_eq!(request(server.addr, "PATCH", &photo, &[JSON, ("if-match", &seen)], br#"{"title": "A"}"#).status, 200);
 }

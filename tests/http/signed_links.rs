@@ -108,7 +108,7 @@ fn an_application_signs_a_photo_with_its_pages() {
     for path in ["/v1/photos/ID?", "/v1/photos/ID/atlas?level=1&", "/v1/photos/ID/view?w=8&", "/view/ID?", "/embed/ID?"] {
         assert_eq!(stranger(&server, &format!("{path}{link}").replace("ID", &photo)).status, 200, "{path}");
     }
-    let change = ask(&server, "PATCH", &format!("/v1/photos/{photo}?{link}"), &[("content-type", "application/json")], b"{}");
+    let change = ask(&server, "PATCH", &format!("/v1/photos/{photo}?{link}"), &[JSON], b"{}");
     assert_eq!((change.status, stranger(&server, &format!("/v1/photos?{link}")).json()["photos"].as_array().unwrap().len()), (404, 0));
     // the page's card and its cookie have the link
     let page = stranger(&server, &format!("/view/{photo}?{link}"));

@@ -68,7 +68,7 @@ fn start(hosts: &[String], source_addresses: AddressPolicy) -> Running {
 }
 
 fn post(server: &Running, body: &Value) -> Response {
-    request(server.addr, "POST", "/v1/photos", &[("content-type", "application/json"), ("prefer", "wait=60")], body.to_string().as_bytes())
+    request(server.addr, "POST", "/v1/photos", &[JSON, ("prefer", "wait=60")], body.to_string().as_bytes())
 }
 
 #[test]

@@ -2,13 +2,13 @@
 
 use tmpi_pipeline::depth::DepthKind;
 
+use crate::photo_settings::{self, PATCH};
 use crate::prelude::*;
 
-const JSON: (&str, &str) = ("content-type", "application/merge-patch+json");
 const WAIT: (&str, &str) = ("prefer", "wait=30");
 
 fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) -> Response {
-    request(server.addr, "PATCH", &format!("{photo}/strokes"), &[&[JSON], headers].concat(), body.to_string().as_bytes())
+    photo_settings::patch(server, &format!("{photo}/strokes"), headers, body)
 }
 
 fn sky() -> Value {
@@ -19,7 +19,7 @@ fn sky() -> Value {
 fn strokes_make_the_photo_again_and_stay_with_it() {
     let (server, photo) = Running::with_photo();
     let title = json!({ "title": "A box" });
-    assert_eq!(request(server.addr, "PATCH", &photo, &[JSON], title.to_string().as_bytes()).status, 200);
+    photo_settings::patch(&server, &photo, &[], &title).is(200);
     let before = get(server.addr, &photo).json();
     let depth = |server: &Running| get(server.addr, &format!("{photo}/depth")).body;
     let untouched = depth(&server);
@@ -123,9 +123,9 @@ fn a_wrong_stroke_is_named_and_changes_nothing() {
     let raw = |headers: &[(&str, &str)], body: &str| request(server.addr, "PATCH", &format!("{photo}/strokes"), headers, body.as_bytes());
     raw(&[("content-type", "text/plain")], "{}").problem(415);
     let at_limit = format!("{{{}}}", " ".repeat((1 << 19) - 2));
-    assert_eq!(raw(&[JSON], &at_limit).status, 200);
-    raw(&[JSON], &format!("{at_limit} ")).problem(413);
-    assert_eq!(raw(&[JSON, ("sec-fetch-site", "cross-site")], "{}").problem(403)["type"], "urn:tmpi:problem:cross-site");
+    assert_eq!(raw(&[PATCH], &at_limit).status, 200);
+    raw(&[PATCH], &format!("{at_limit} ")).problem(413);
+    assert_eq!(raw(&[PATCH, ("sec-fetch-site", "cross-site")], "{}").problem(403)["type"], "urn:tmpi:problem:cross-site");
     patch(&server, "/v1/photos/0123456789abcdef0123456789abcdef", &[], &json!({})).problem(404);
     assert_eq!(get(server.addr, &format!("{photo}/strokes")).json()["strokes"], json!([]));
 }

@@ -115,8 +115,7 @@ fn an_upload_is_one_trace_of_request_job_and_stages() {
     assert!(stages.last().unwrap().end_time_unix_nano <= job.end_time_unix_nano);
     // the job of a photo that is made again belongs to the request that asked for it
     let patch = br#"{"strokes": [{"points": [[0.5, 0.5]], "radius": 0.1, "to": 0}]}"#;
-    let json = [("content-type", "application/json")];
-    assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{id}/strokes"), &json, patch).status, 202);
+    assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{id}/strokes"), &[JSON], patch).status, 202);
     let (patched, jobs) = (&collector.wait("PATCH /v1/photos/{id}/strokes", 1)[0], collector.wait("job", 2));
     assert_eq!(jobs[1].parent_span_id, patched.span_id);
     // work that waits for a slot has its own span

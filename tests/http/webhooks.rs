@@ -10,7 +10,6 @@ use crate::live::{Publisher, frame};
 use crate::prelude::*;
 use crate::receiver::{Delivery as _, Receiver};
 
-const JSON: (&str, &str) = ("content-type", "application/json");
 /// Retries of which even an unlucky delivery does not use up all.
 const MANY: usize = 60;
 

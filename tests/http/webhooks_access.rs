@@ -13,7 +13,7 @@ fn start() -> Running {
 
 fn send(server: &Running, who: &str, method: &str, path: &str, body: &Value) -> Response {
     let body = if body.is_null() { String::new() } else { body.to_string() };
-    ask(server, method, path, &[("authorization", who), ("content-type", "application/json")], body.as_bytes())
+    ask(server, method, path, &[("authorization", who), JSON], body.as_bytes())
 }
 
 fn add(server: &Running, who: &str, url: &str) -> String {
