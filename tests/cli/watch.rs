@@ -6,6 +6,7 @@ use std::process::{Child, ChildStdout, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use crate::fixture::Folder;
@@ -39,10 +40,7 @@ impl Follower {
 
     /// Sends SIGTERM; the exit code, the photos made since the last call of `made`, and standard error.
     fn stop(mut self) -> (Option<i32>, usize, String) {
-        // SAFETY: sending a signal to a child that was not waited for
-        #[allow(unsafe_code, reason = "the standard library sends no signals")]
-        let sent = unsafe { libc::kill(self.child.id() as libc::pid_t, libc::SIGTERM) };
-        assert_eq!(sent, 0);
+        kill_process(Pid::from_child(&self.child), Signal::TERM).unwrap();
         let mut err = String::new();
         self.child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
         (self.child.wait().unwrap().code(), self.lines.iter().count(), err)

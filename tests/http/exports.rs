@@ -205,8 +205,9 @@ fn a_batch_upload_waits_behind_others() {
 
 #[cfg(target_os = "linux")]
 mod processes {
+    use rustix::process::Signal;
+
     use super::*;
-    use crate::client::Connection;
     use crate::process::{Process, heavy, large, upload, upload_with};
 
     /// A server with a finished photo, whose writer process has already written a page.
@@ -268,7 +269,7 @@ mod processes {
         // little more than it has now: as if the file took more memory than estimated
         writer.bound_data(writer.figure("status", "VmData:", 1024).unwrap() + (24 << 20));
         let zip = working(server.addr, &photo, "format=zip");
-        writer.signal(libc::SIGCONT);
+        writer.signal(Signal::CONT);
         wait_until("the limit has ended it", || writer.has_ended());
         // the server goes on, and another process writes the file
         ended(server.addr, &zip, "done");

@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicUsize;
 
+#[cfg(target_os = "linux")]
+use rustix::process::Signal;
 use tmpi_testing::Engine;
 
 use crate::prelude::*;
@@ -143,11 +145,11 @@ fn if_two_workers_make_one_photo_only_one_result_counts() {
     let id = upload(serve.addr, &large(1)).unwrap();
     wait_until("it has begun", || state(serve.addr, &id)["state"] == "working");
     // the worker stops, as on a machine that swaps, and does not renew its lease
-    slow.signal(libc::SIGSTOP);
+    slow.signal(Signal::STOP);
     let _quick = shared.node("w2", &["--role", "work"]);
     wait_until("the other worker has made it", || state(serve.addr, &id)["state"] == "done");
     let atlas = get(serve.addr, &format!("/v1/photos/{id}/atlas")).body;
-    slow.signal(libc::SIGCONT);
+    slow.signal(Signal::CONT);
     drop(held);
     wait_until("the first worker has dropped it", || slow.logged().contains("outcome=\"deleted\""));
     assert_eq!(state(serve.addr, &id)["state"], "done");

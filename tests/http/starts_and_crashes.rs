@@ -8,6 +8,9 @@ use std::process::Stdio;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicUsize;
 
+#[cfg(target_os = "linux")]
+use rustix::process::Signal;
+
 use crate::prelude::*;
 #[cfg(target_os = "linux")]
 use crate::process::Held;
@@ -193,7 +196,7 @@ fn another_process_makes_the_photo_if_one_is_killed() {
     let maker = server.hold();
     let id = upload_with(server.addr, &slow(2), &[]);
     server.wait_for_photo();
-    maker.signal(libc::SIGKILL);
+    maker.signal(Signal::KILL);
     wait_until("it is done", || state(server.addr, &id)["state"] == "done");
     let log = server.logged();
     assert!(log.contains("crashed its process") && !log.contains("panicked"), "{log}");
@@ -241,7 +244,7 @@ fn a_photo_over_its_memory_bound_ends_only_its_own_process() {
     maker.bound_data(maker.figure("status", "VmData:", 1024).unwrap() + (24 << 20));
     let id = upload_with(server.addr, &slow(9), &[]);
     server.wait_for_photo();
-    maker.signal(libc::SIGCONT);
+    maker.signal(Signal::CONT);
     wait_until("the limit has ended it", || maker.has_ended());
     // the server goes on, and another process makes the photo
     wait_until("it is done", || state(server.addr, &id)["state"] == "done");
@@ -278,10 +281,10 @@ fn a_second_signal_ends_it_at_once() {
     let _maker = server.hold();
     upload_with(server.addr, &slow(8), &[]);
     server.wait_for_photo();
-    server.signal(libc::SIGTERM);
+    server.signal(Signal::TERM);
     wait_until("the first signal has arrived", || server.logged().contains("stopping"));
     wait_until("the second signal ends it", || {
-        server.signal(libc::SIGTERM);
-        server.child.try_wait().unwrap().is_some_and(|status| status.code() == Some(1))
+        server.signal(Signal::TERM);
+        server.child.0.try_wait().unwrap().is_some_and(|status| status.code() == Some(1))
     });
 }
