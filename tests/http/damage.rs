@@ -159,8 +159,7 @@ fn a_second_server_on_a_folder_is_refused_and_removes_nothing() {
     let upload = server.data().join("blobs/incoming/upload");
     std::fs::write(&upload, b"a part").unwrap();
     let config = Config::new(([127, 0, 0, 1], 0).into(), server.data().to_owned());
-    let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
-    let refused = block_on(tmpi::server::Server::bind(config, Arc::new(pipeline()), renderer)).err().unwrap();
+    let refused = block_on(tmpi::server::Server::bind(config, Arc::new(pipeline()), drawn_by_cpu())).err().unwrap();
     let cause = std::error::Error::source(&refused).unwrap().to_string();
     assert!(cause.contains("another process"), "{refused}: {cause}");
     assert!(upload.exists());

@@ -190,7 +190,7 @@ fn a_batch_upload_waits_behind_others() {
     let server = Running::with(Limits { drain: Duration::from_millis(100), ..Limits::default() }, gate.clone());
     let busy = server.upload(&jpeg(1));
     gate.wait_started(1);
-    let batch = post_form(server.addr, &[], &[("photo", &jpeg(2)), ("class", b"batch")]).json()["id"].as_str().unwrap().to_owned();
+    let batch = id(&post_form(server.addr, &[], &[("photo", &jpeg(2)), ("class", b"batch")]).json());
     let next = server.upload(&jpeg(3));
     let wrong = post_form(server.addr, &[], &[("photo", &jpeg(4)), ("class", b"export")]);
     assert_eq!(wrong.problem(400)["field"], "class");

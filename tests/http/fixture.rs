@@ -58,7 +58,7 @@ pub fn usual(data: &Path) -> Config {
 /// A running server, often with a data folder of its own.
 pub struct Running {
     pub addr: SocketAddr,
-    config: Option<Config>,
+    config: Config,
     dir: Option<tempfile::TempDir>,
     stop: Option<tokio::sync::oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
@@ -92,11 +92,6 @@ impl Running {
         Self::owning(|data| Self::launch(change(usual(data)), maker, renderer, with_rooms))
     }
 
-    /// A server in an existing data folder.
-    pub fn start(data: &Path, limits: Limits, maker: Arc<dyn Maker>) -> Self {
-        Self::launch(Config { limits, ..usual(data) }, maker, drawn_by_cpu(), with_rooms)
-    }
-
     /// Gives a server a data folder of its own.
     pub fn owning(start: impl FnOnce(&Path) -> Self) -> Self {
         let dir = tempfile::tempdir().unwrap();
@@ -105,15 +100,27 @@ impl Running {
         server
     }
 
-    /// A server that `finish` completes.
+    /// A server that `finish` completes, on a thread of its own.
     pub fn launch<F>(config: Config, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>, finish: F) -> Self
     where
         F: FnOnce(Server) -> Server + Send + 'static,
     {
+        count_panics();
         let kept = config.clone();
-        let mut server = Self::of(async move { finish(Server::bind(config, maker, renderer).await.unwrap()) });
-        server.config = Some(kept);
-        server
+        let (stop, stopped) = tokio::sync::oneshot::channel();
+        let (tell, told) = std::sync::mpsc::channel();
+        let thread = std::thread::spawn(move || {
+            // few blocking threads, so that tests notice code that holds one while it waits
+            let runtime =
+                tokio::runtime::Builder::new_multi_thread().worker_threads(2).max_blocking_threads(24).enable_all().build().unwrap();
+            runtime.block_on(async {
+                let server = finish(Server::bind(config, maker, renderer).await.unwrap());
+                tell.send(server.addr()).unwrap();
+                server.run(async { drop(stopped.await) }).await;
+            });
+        });
+        let addr = told.recv().expect("the server starts");
+        Self { addr, config: kept, dir: None, stop: Some(stop), thread: Some(thread) }
     }
 
     /// Stops it and starts one in its data folder with changed settings.
@@ -131,7 +138,7 @@ impl Running {
     where
         F: FnOnce(Server) -> Server + Send + 'static,
     {
-        let (dir, config) = (self.dir.take(), self.config.take().unwrap());
+        let (dir, config) = (self.dir.take(), self.config.clone());
         self.stop();
         let mut server = Self::launch(change(config), maker, drawn_by_cpu(), finish);
         server.dir = dir;
@@ -148,25 +155,6 @@ impl Running {
         self.dir.as_ref().unwrap().path()
     }
 
-    /// Runs a server on a thread of its own.
-    pub fn of(bound: impl Future<Output = Server> + Send + 'static) -> Self {
-        count_panics();
-        let (stop, stopped) = tokio::sync::oneshot::channel();
-        let (tell, told) = std::sync::mpsc::channel();
-        let thread = std::thread::spawn(move || {
-            // few blocking threads, so that tests notice code that holds one while it waits
-            let runtime =
-                tokio::runtime::Builder::new_multi_thread().worker_threads(2).max_blocking_threads(24).enable_all().build().unwrap();
-            runtime.block_on(async {
-                let server = bound.await;
-                tell.send(server.addr()).unwrap();
-                server.run(async { drop(stopped.await) }).await;
-            });
-        });
-        let addr = told.recv().expect("the server starts");
-        Self { addr, config: None, dir: None, stop: Some(stop), thread: Some(thread) }
-    }
-
     /// Asks it to stop.
     pub fn signal(&mut self) {
         self.stop.take();
@@ -175,7 +163,7 @@ impl Running {
     /// Stops it and waits for its end.
     pub fn stop(mut self) {
         self.signal();
-        self.thread.take().unwrap().join().expect("the server ends without a panic");
+        self.ended();
     }
 
     /// Waits for its end without stopping it.

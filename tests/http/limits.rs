@@ -34,8 +34,7 @@ fn the_photo_at_its_limits_and_one_over() {
     let (pixels, side) = (80 * 60, 80);
     let with = |photo| Running::with(Limits::default(), Arc::new(way_within(photo)));
     let at = with(photo::Limits { pixels, side, ..photo::Limits::default() });
-    let id = at.upload(&jpeg(1));
-    at.wait(&id, "done");
+    at.make(&jpeg(1));
     for limits in [photo::Limits { pixels: pixels - 1, ..Default::default() }, photo::Limits { side: side - 1, ..Default::default() }] {
         let over = with(limits);
         assert_eq!(request(over.addr, "POST", "/v1/photos", &[], &jpeg(1)).problem(413)["field"], "photo");

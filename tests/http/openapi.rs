@@ -22,7 +22,7 @@ fn every_route_of_the_document_answers_as_it_says() {
     wait_until("a frame is done", || get(server.addr, "/v1/live/attic/frames/latest/atlas").status == 200);
     let newest = get(server.addr, "/v1/live/attic/gops/latest");
     let first = format!("{}-0", newest.header("location").unwrap().split('-').next().unwrap());
-    let webhook = request(server.addr, "POST", "/v1/webhooks", &[JSON], WEBHOOK).json()["id"].as_str().unwrap().to_owned();
+    let webhook = id(&request(server.addr, "POST", "/v1/webhooks", &[JSON], WEBHOOK).json());
     let mut deletions = Vec::new();
     let mut count = 0;
     for (path, item) in document["paths"].as_object().unwrap() {

@@ -29,7 +29,7 @@ fn the_quota_of_photos_applies_to_each_owner() {
     let server = private_with(Limits { quotas: Quotas { photos: 2, bytes: 0 }, ..Limits::default() }, Arc::new(pipeline()));
     let (ann, bob) = (secret("a"), secret("b"));
     let upload = |who: &str, seed| ask(&server, "POST", "/v1/photos", &[("authorization", who), ("prefer", "wait=60")], &jpeg(seed));
-    let first = upload(&ann, 1).json()["id"].as_str().unwrap().to_owned();
+    let first = id(&upload(&ann, 1).json());
     assert!(matches!(upload(&ann, 2).status, 201 | 202));
     let refused = upload(&ann, 3).problem(403);
     assert_eq!(refused["type"], "urn:tmpi:problem:quota");

@@ -155,7 +155,7 @@ fn the_list_has_pages_newest_first() {
     ids.reverse();
     let page = |path: &str| {
         let page = get(server.addr, path).json();
-        let ids: Vec<String> = page["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect();
+        let ids: Vec<String> = page["photos"].as_array().unwrap().iter().map(id).collect();
         (ids, page["next"].as_str().map(str::to_owned))
     };
     // uploads of the same millisecond are ordered by id
@@ -209,7 +209,7 @@ fn finished_failed_and_queued_photos_survive_a_restart() {
     let server = Running::with(limits(), gate.clone());
     let done = server.upload(&jpeg(1));
     let before = server.wait(&done, "done");
-    let failed = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]).json()["id"].as_str().unwrap().to_owned();
+    let failed = id(&post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]).json());
     gate.open(1);
     server.wait(&failed, "failed");
     let atlas = get(server.addr, &format!("/v1/photos/{done}/atlas"));

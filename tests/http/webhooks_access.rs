@@ -21,7 +21,7 @@ fn add(server: &Running, who: &str, url: &str) -> String {
 }
 
 fn photos(receiver: &Receiver) -> Vec<String> {
-    let mut all: Vec<String> = receiver.got().iter().map(|got| got.json()["data"]["id"].as_str().unwrap().to_owned()).collect();
+    let mut all: Vec<String> = receiver.got().iter().map(|got| id(&got.json()["data"])).collect();
     all.sort();
     all
 }
