@@ -1,16 +1,15 @@
 //! Downloads depth networks from a server that interrupts transfers or sends wrong bytes, and checks which network is used.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
-use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
+use std::process::Stdio;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
-use tmpi_testing::program::{self, Run};
+use tmpi_testing::program::{self, Killed, Run};
 use tmpi_testing::{Answer, Need, Request, StandIn};
 
 #[path = "http/client.rs"]
@@ -108,7 +107,7 @@ impl Folder {
 
 /// `tmpi serve`, which downloads its network from a [`FileServer`].
 struct TmpiServer {
-    child: Child,
+    _process: Killed,
     addr: SocketAddr,
 }
 
@@ -116,11 +115,10 @@ impl TmpiServer {
     fn start(folder: &Folder, url: &str, sha256: &str) -> Self {
         let mut command = folder.0.command();
         command.args(["serve", "--addr", "127.0.0.1:0", "--data", "data", "--network-url", url, "--network-sha256", sha256]);
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let addr = line.trim().strip_prefix("http://").and_then(|a| a.parse().ok());
-        Self { child, addr: addr.unwrap_or_else(|| panic!("no address: {line:?}")) }
+        let mut process = Killed(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+        let line = process.first_line();
+        let addr = line.strip_prefix("http://").and_then(|a| a.parse().ok());
+        Self { _process: process, addr: addr.unwrap_or_else(|| panic!("no address: {line:?}")) }
     }
 
     fn network(&self) -> Value {
@@ -151,13 +149,6 @@ impl TmpiServer {
         let text = |value: &Value| value.as_str().unwrap().to_owned();
         let report = get(self.addr, &text(&state["links"]["report"])).json();
         [text(&state["id"]), text(&state["version"]), text(&report["depth_model"])]
-    }
-}
-
-impl Drop for TmpiServer {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 

@@ -1,10 +1,11 @@
 //! `tmpi serve` as a process, and the processes that make its photos.
 
-use std::io::{BufRead, BufReader, Read as _, Write};
+use std::io::Write;
 use std::process::{Child, Command, Stdio};
 
 #[cfg(unix)]
 use rustix::process::{Pid, Signal, kill_process};
+use tmpi_testing::program::Killed;
 
 use crate::prelude::*;
 
@@ -46,12 +47,12 @@ impl Process {
     }
 
     /// A process that writes its address and then its log.
-    pub fn listening(mut child: Child, log: tempfile::NamedTempFile) -> Self {
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let addr = line.trim().strip_prefix("http://").and_then(|a| a.parse().ok());
+    pub fn listening(child: Child, log: tempfile::NamedTempFile) -> Self {
+        let mut child = Killed(child);
+        let line = child.first_line();
+        let addr = line.strip_prefix("http://").and_then(|a| a.parse().ok());
         let addr = addr.unwrap_or_else(|| panic!("the first line of standard output is the address: {line:?}"));
-        Self { child: Killed(child), addr, log }
+        Self { child, addr, log }
     }
 
     /// Kills the server without a chance to clean up.
@@ -125,25 +126,6 @@ impl Process {
         self.signal(Signal::TERM);
         let status = self.child.0.wait().unwrap();
         (status, self.logged())
-    }
-}
-
-/// A process that does not outlive its test.
-pub struct Killed(pub Child);
-
-impl Killed {
-    /// Its standard output until it ends.
-    pub fn printed(mut self) -> String {
-        let mut all = String::new();
-        self.0.stdout.take().unwrap().read_to_string(&mut all).unwrap();
-        all
-    }
-}
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 

@@ -12,10 +12,10 @@ use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, ClientConnection, RootCertStore, StreamOwned};
 use tmpi::server::Tls;
+use tmpi_testing::program::Killed;
 
 use crate::live;
 use crate::prelude::*;
-use crate::process::Killed;
 
 fn example(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/http/certificates").join(name)
@@ -220,7 +220,7 @@ fn the_program_publishes_and_watches_a_room_over_tls() {
     let _publisher = program(&["publish", frames.path().to_str().unwrap(), "--room", &room, "--times", "1000000"]);
     let seconds = (0..100).find_map(|_| {
         // the publisher may not have started yet
-        let lines = program(&["watch", &room, "--seconds", "2", "--json"]).printed();
+        let lines = std::io::read_to_string(program(&["watch", &room, "--seconds", "2", "--json"]).0.stdout.take().unwrap()).unwrap();
         (!lines.is_empty()).then_some(lines)
     });
     let frames: u64 = seconds
