@@ -32,7 +32,7 @@ fn event_streams_end_with_their_credential() {
     };
     let open = |query: &str, who: Option<&str>| {
         let headers: Vec<_> = [HOST].into_iter().chain(who.map(|who| ("authorization", who))).collect();
-        let mut events = Events::open_as(&server, &photo, query, &headers);
+        let mut events = Events::open_as(server.addr, &photo, query, &headers);
         assert_eq!(events.next().unwrap().0, "stage", "the first event is the photo's stage");
         events
     };

@@ -307,13 +307,17 @@ pub fn noise() -> Vec<u8> {
     tmpi_core::container::encode_jpeg(640, 480, photo.rgb.as_flattened(), 100).unwrap()
 }
 
-/// A depth map with damaged pixels and intact headers.
+/// A depth map with damaged pixels.
 pub fn spoilt_map() -> Vec<u8> {
-    let mut map = depth_map();
+    spoilt(depth_map())
+}
+
+/// A PNG with damaged pixels and intact headers.
+pub fn spoilt(mut png: Vec<u8>) -> Vec<u8> {
     // a wrong zlib header
-    let at = map.windows(4).position(|name| name == b"IDAT").unwrap() + 4;
-    map[at] ^= 0xff;
-    map
+    let at = png.windows(4).position(|name| name == b"IDAT").unwrap() + 4;
+    png[at] ^= 0xff;
+    png
 }
 
 /// A depth map with two levels.

@@ -8,6 +8,7 @@ use std::sync::atomic::AtomicUsize;
 use rustix::process::Signal;
 use tmpi_testing::Engine;
 
+use crate::events::Events;
 use crate::prelude::*;
 use crate::process::{Process, large, upload};
 
@@ -39,33 +40,18 @@ impl Shared {
     }
 }
 
-/// The events of a photo until its stream ends.
-fn events(addr: SocketAddr, id: &str) -> std::thread::JoinHandle<String> {
-    let path = format!("/v1/photos/{id}/events");
-    std::thread::spawn(move || {
-        let mut connection = Connection::open(addr);
-        connection.send("GET", &path, &[], &[]);
-        assert_eq!(connection.head().unwrap().status, 200);
-        let mut all = Vec::new();
-        while let Some(chunk) = connection.chunk() {
-            all.extend(chunk);
-        }
-        String::from_utf8(all).unwrap()
-    })
-}
-
 #[test]
 fn one_node_accepts_a_photo_another_makes_it_and_a_third_serves_it() {
     let Some(shared) = Shared::start() else { return };
     let (a, b) = (shared.node("a", &["--role", "serve"]), shared.node("b", &["--role", "serve"]));
     let id = upload(a.addr, &large(1)).unwrap();
     assert_eq!(state(b.addr, &id)["state"], "queued", "the other node knows it at once");
-    let followed = events(b.addr, &id);
+    let mut followed = Events::open(b.addr, &id);
     let worker = shared.node("w", &["--role", "work"]);
     assert_eq!(get(worker.addr, "/healthz").status, 200);
     get(worker.addr, "/v1/photos").problem(404);
-    let told = followed.join().unwrap();
-    assert!(told.contains("event: stage") && told.contains("event: done"), "events arrive at another node: {told}");
+    let told: Vec<String> = std::iter::from_fn(|| followed.next()).map(|(name, _)| name).collect();
+    assert!(["stage", "done"].iter().all(|name| told.iter().any(|t| t == name)), "events arrive at another node: {told:?}");
     let path = |what: &str| format!("/v1/photos/{id}{what}");
     let atlas = get(a.addr, &path("/atlas"));
     assert_eq!(get(b.addr, &path("/atlas")).body, atlas.body);

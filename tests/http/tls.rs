@@ -62,6 +62,13 @@ async fn second(addr: SocketAddr, client: &mut h2::client::Builder) -> SendReque
     sender
 }
 
+/// An HTTP/1.1 connection.
+fn first(addr: SocketAddr) -> StreamOwned<ClientConnection, TcpStream> {
+    let name = ServerName::try_from("localhost").unwrap();
+    let session = ClientConnection::new(trusting(&[b"http/1.1"]), name).unwrap();
+    StreamOwned::new(session, TcpStream::connect(addr).unwrap())
+}
+
 fn asks(method: &str, path: &str, host: &str) -> Request<()> {
     Request::builder().method(method).uri(format!("https://{host}{path}")).body(()).unwrap()
 }
@@ -95,9 +102,7 @@ async fn metric(sender: &SendRequest<Bytes>, name: &str) -> u64 {
 #[test]
 fn requests_on_a_keep_alive_connection_over_tls() {
     let (server, id, atlas) = start(Limits::default());
-    let name = ServerName::try_from("localhost").unwrap();
-    let session = ClientConnection::new(trusting(&[b"http/1.1"]), name).unwrap();
-    let mut stream = StreamOwned::new(session, TcpStream::connect(server.addr).unwrap());
+    let mut stream = first(server.addr);
     let mut ask = |path: &str, more: &str| {
         write!(stream, "GET {path} HTTP/1.1\r\nhost: localhost\r\n{more}\r\n").unwrap();
         let mut head = Vec::new();
@@ -131,9 +136,7 @@ fn hsts_is_sent_over_tls() {
             let (answer, _) = sender.send_request(asks("GET", "/healthz", "localhost"), true).unwrap();
             answer.await.unwrap().headers().get("strict-transport-security").map(|v| v.to_str().unwrap().to_owned())
         });
-        let name = ServerName::try_from("localhost").unwrap();
-        let session = ClientConnection::new(trusting(&[b"http/1.1"]), name).unwrap();
-        let mut stream = StreamOwned::new(session, TcpStream::connect(server.addr).unwrap());
+        let mut stream = first(server.addr);
         for path in paths {
             write!(stream, "GET {path} HTTP/1.1\r\nhost: localhost\r\n").unwrap();
             stream.write_all(if path == paths.last().unwrap() { &b"connection: close\r\n\r\n"[..] } else { b"\r\n" }).unwrap();
