@@ -105,10 +105,7 @@ fn an_upload_without_a_secret_is_answered_with_the_photos_token() {
     let cookie = cookie.header("set-cookie").unwrap().to_owned();
     assert!(cookie.contains("; HttpOnly; SameSite=Lax") && !cookie.contains("Secure"), "{cookie}");
     let pair = cookie.split(';').next().unwrap();
-    let by_cookie = |headers: &[(&str, &str)]| {
-        let all: Vec<_> = [("cookie", pair)].into_iter().chain(headers.iter().copied()).collect();
-        ask(&server, "GET", &address, &all, &[]).status
-    };
+    let by_cookie = |headers: &[(&str, &str)]| ask(&server, "GET", &address, &[&[("cookie", pair)], headers].concat(), &[]).status;
     assert_eq!(by_cookie(&[("sec-fetch-site", "same-origin")]), 200);
     for site in ["cross-site", "same-site"] {
         assert_eq!(by_cookie(&[("sec-fetch-site", site)]), 404, "{site}");

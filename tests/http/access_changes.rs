@@ -66,8 +66,7 @@ fn visibility_is_a_setting_like_others() {
     let ann = secret("a");
     let at = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
     let own = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
-        let headers: Vec<_> = [("authorization", ann.as_str())].into_iter().chain(more.iter().copied()).collect();
-        ask(&server, method, path, &headers, body)
+        ask(&server, method, path, &[&[("authorization", ann.as_str())], more].concat(), body)
     };
     let tag = |path: &str| own("GET", path, &[], &[]).header("etag").unwrap().to_owned();
     let state = tag(&at);

@@ -17,8 +17,7 @@ fn if_match_protects_a_changed_photo_from_deletion_and_again_answers_a_location(
     let ann = secret("a");
     let at = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
     let own = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
-        let headers: Vec<_> = [("authorization", ann.as_str())].into_iter().chain(more.iter().copied()).collect();
-        ask(&server, method, path, &headers, body)
+        ask(&server, method, path, &[&[("authorization", ann.as_str())], more].concat(), body)
     };
     let again = own("POST", &format!("{at}/remake"), &[("prefer", "wait=60")], &[]);
     assert_eq!((again.status, again.header("location")), (200, Some(at.as_str())));

@@ -68,8 +68,7 @@ fn a_browser_keeps_a_photos_token_and_stays_the_same_owner() {
     }
     let pairs = format!("{of_bob}; {}", cookie.split(';').next().unwrap());
     let browser = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
-        let headers: Vec<_> = [("cookie", pairs.as_str()), JSON].into_iter().chain(more.iter().copied()).collect();
-        ask(&server, method, path, &headers, body)
+        ask(&server, method, path, &[&[("cookie", pairs.as_str()), JSON], more].concat(), body)
     };
     let own = [("sec-fetch-site", "same-origin")];
     assert_eq!((browser("GET", &at, &own, &[]).status, browser("PATCH", &at, &own, b"{\"title\": \"A\"}").status), (200, 200));
