@@ -85,7 +85,7 @@ pub fn encode_in(
     file.add(Kind::Photo, photo_file.format.codec(), photo_file.bytes.clone(), 0);
     let planes = columns::write(&geometry.tiles);
     let layout = planes::Layout::of(&geometry.grid, geometry.planes());
-    let coded = planes::encode(layout, &planes)?;
+    let coded = planes::encode(&mut planes::Models::new(), layout, &planes)?;
     // zstd wins if planes repeat from tile to tile, as in drawings
     if packed(&planes)?.len() < coded.len() {
         file.add_packed(Kind::Planes, &planes)?;

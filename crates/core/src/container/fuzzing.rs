@@ -46,9 +46,10 @@ pub fn planes(grid: &Grid, count: usize, data: &[u8]) {
     }
     let layout = coded::Layout::of(grid, count);
     // the same bytes as an entropy-coded stream
-    if let Ok(raw) = coded::decode(layout, data) {
+    if let Ok(raw) = coded::decode(&mut coded::Models::new(), layout, data) {
         assert!(columns::read(grid, count, &raw).is_ok(), "decoded planes cannot be parsed");
-        let again = coded::encode(layout, &raw).and_then(|data| coded::decode(layout, &data));
+        let again = coded::encode(&mut coded::Models::new(), layout, &raw);
+        let again = again.and_then(|data| coded::decode(&mut coded::Models::new(), layout, &data));
         assert!(again.is_ok_and(|a| a == raw), "encoded planes decode differently");
     }
 }
