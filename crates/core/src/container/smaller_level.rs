@@ -8,7 +8,7 @@ use crate::{Geometry, Grid, Intrinsics, Photo, Scene, Texels, Tile};
 /// The smallest level: an eighth of the size.
 pub const LEVELS: u8 = 3;
 /// JPEG quality of a level's photo.
-const QUALITY: u8 = 90;
+pub(super) const QUALITY: u8 = 90;
 
 /// Makes a container of `1 / 2^level` of the size. Stops at the smallest possible level: [`LEVELS`], or less if a tile's size or stride is
 /// odd, or if readers would reject so many planes for the size. Level 0 is the container itself.
@@ -21,8 +21,7 @@ pub fn level(container: &[u8], level: u8) -> Result<Vec<u8>, ContainerError> {
     if done == 0 {
         return Ok(container.to_vec());
     }
-    let photo_file = encode_photo(&photo)?;
-    encode_geometry(photo, &geometry, &photo_file)
+    encode_geometry(&geometry, &EncodedPhoto::from_photo(&photo, QUALITY)?)
 }
 
 /// Photo and geometry at `1 / 2^level` of their size, or at the smallest possible level, and the number of halvings.
@@ -38,15 +37,14 @@ pub(super) fn smaller(mut photo: Photo, mut geometry: Geometry, level: u8) -> (P
     (photo, geometry, done)
 }
 
-/// Encodes the photo of a level.
-pub(super) fn encode_photo(photo: &Photo) -> Result<EncodedPhoto, ContainerError> {
-    EncodedPhoto::from_photo(photo, QUALITY)
-}
-
 /// Encodes a container with only photo and geometry, which determine all texels.
-pub(super) fn encode_geometry(photo: Photo, geometry: &Geometry, photo_file: &EncodedPhoto) -> Result<Vec<u8>, ContainerError> {
+///
+/// # Errors
+/// As in [`encode()`].
+pub fn encode_geometry(geometry: &Geometry, photo_file: &EncodedPhoto) -> Result<Vec<u8>, ContainerError> {
     let Geometry { grid, intrinsics, view_box, .. } = *geometry;
-    let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
+    // the photo is in its file, and no section has texels
+    let scene = Scene { grid, intrinsics, view_box, photo: Photo::default(), layers: Vec::new(), texels: Texels::default() };
     Ok(encode(geometry, &scene, photo_file, OptionalSections::default())?.0)
 }
 
