@@ -122,9 +122,7 @@ impl TmpiServer {
     }
 
     fn network(&self) -> Value {
-        let response = get(self.addr, "/v1/network");
-        assert_eq!(response.status, 200);
-        response.json()
+        get(self.addr, "/v1/network").is(200).json()
     }
 
     /// Downloads the network and waits until it is done.
@@ -143,9 +141,7 @@ impl TmpiServer {
 
     /// Posts and waits for the photo; returns its id, version, and network.
     fn make(&self, path: &str, body: &[u8]) -> [String; 3] {
-        let response = request(self.addr, "POST", path, &[("prefer", "wait=25")], body);
-        assert!(matches!(response.status, 200 | 201), "{}", String::from_utf8_lossy(&response.body));
-        let state = response.json();
+        let state = request(self.addr, "POST", path, &[("prefer", "wait=25")], body).any_of(&[200, 201]).json();
         let text = |value: &Value| value.as_str().unwrap().to_owned();
         let report = get(self.addr, &text(&state["links"]["report"])).json();
         [text(&state["id"]), text(&state["version"]), text(&report["depth_model"])]

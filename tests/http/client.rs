@@ -44,6 +44,13 @@ impl Response {
         self
     }
 
+    /// The response, which must have one of these statuses.
+    #[track_caller]
+    pub fn any_of(self, statuses: &[u16]) -> Self {
+        assert!(statuses.contains(&self.status), "{}: {}", self.status, String::from_utf8_lossy(&self.body));
+        self
+    }
+
     /// The body as a problem of `status`.
     #[track_caller]
     pub fn problem(&self, status: u16) -> Value {

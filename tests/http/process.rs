@@ -21,15 +21,10 @@ impl Process {
     }
 
     pub fn start_with(data: &Path, arguments: &[&str]) -> Self {
-        Self::start_in(data, arguments, &[])
+        Self::start_at(0, data, arguments, &[])
     }
 
-    /// With these environment variables.
-    pub fn start_in(data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
-        Self::start_at(0, data, arguments, environment)
-    }
-
-    /// At a given port.
+    /// At a given port, with these environment variables.
     pub fn start_at(port: u16, data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
         // a file, because a full pipe would block the server
         let log = tempfile::NamedTempFile::new().unwrap();

@@ -26,7 +26,7 @@ fn processes_that_make_photos_get_no_credentials() {
         ("TMPI_SERVE_LIMITS_JOB_MEMORY", "5000"),
         ("TMPI_MODELS", "/nowhere"),
     ];
-    let server = Process::start_in(dir.path(), &["--network-url", "http://user:a-secret@localhost/"], &environment);
+    let server = Process::start_at(0, dir.path(), &["--network-url", "http://user:a-secret@localhost/"], &environment);
     let read =
         |file: &str| String::from_utf8_lossy(&std::fs::read(format!("/proc/{}/{file}", server.maker().unwrap())).unwrap()).into_owned();
     // between fork and exec, the child still has the server's environment
@@ -52,7 +52,7 @@ fn json_logs_have_one_object_per_line() {
 #[test]
 fn a_server_without_its_library_is_not_ready_and_logs_why() {
     let data = tempfile::tempdir().unwrap();
-    let server = Process::start_in(data.path(), &[], &[("ORT_DYLIB_PATH", "/nowhere/libonnxruntime.so")]);
+    let server = Process::start_at(0, data.path(), &[], &[("ORT_DYLIB_PATH", "/nowhere/libonnxruntime.so")]);
     wait_until("it is not ready", || get(server.addr, "/readyz").status == 503);
     let detail = get(server.addr, "/readyz").problem(503)["detail"].as_str().unwrap().to_owned();
     assert!(detail.contains("ONNX Runtime is missing") && !detail.contains("/nowhere"), "the answer contains no path: {detail}");

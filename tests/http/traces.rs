@@ -213,7 +213,7 @@ fn the_program_sends_stages_of_child_processes_and_flushes_spans_when_it_stops()
         } else {
             (Vec::new(), vec![("OTEL_EXPORTER_OTLP_ENDPOINT", url), ("OTEL_SERVICE_NAME", "attic")])
         };
-        let server = Process::start_in(dir.path(), &arguments, &environment);
+        let server = Process::start_at(0, dir.path(), &arguments, &environment);
         let photo = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &depth_map())]).is(202).json();
         let photo = format!("/v1/photos/{}", id(&photo));
         wait_until("it is made", || get(server.addr, &photo).json()["state"] == "done");
