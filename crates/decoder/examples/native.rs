@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if what == "pixels" {
         return Ok(std::io::stdout().write_all(&rgba)?);
     }
-    let mut decoder = Decoder::new();
+    let mut decoder = Decoder::default();
     decoder.room(bytes.len()).copy_from_slice(&bytes);
     decoder.open();
     decoder.room(rgba.len()).copy_from_slice(&rgba);

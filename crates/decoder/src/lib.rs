@@ -13,7 +13,8 @@ use std::cell::RefCell;
 pub use decoder::{Decoder, Output};
 
 thread_local! {
-    static DECODER: RefCell<Decoder> = const { RefCell::new(Decoder::new()) };
+    static DECODER: RefCell<Decoder> = RefCell::new(Decoder::default());
+    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
 /// The return value of a failed call.
@@ -27,10 +28,6 @@ pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
         PANIC.set(panic.to_string());
     }));
     DECODER.with_borrow_mut(|decoder| decoder.room(length).as_mut_ptr())
-}
-
-thread_local! {
-    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
 /// Takes the input buffer as the container. The bytes of its pictures may be replaced by zeros.
