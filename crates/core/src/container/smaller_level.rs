@@ -75,38 +75,26 @@ fn halved_tile(tile: &Tile, from: &Grid, to: &Grid, index: u32) -> Tile {
             labels.push(four.into_iter().max_by_key(|&l| votes(l)).unwrap_or(0));
         }
     }
-    let mut used = vec![None; tile.planes.len()];
-    for &l in &labels {
-        used[l as usize] = Some(0u8);
-    }
-    let mut next = 0u8;
-    let mut planes = Vec::with_capacity(tile.planes.len());
-    for (u, p) in used.iter_mut().zip(&tile.planes) {
-        if let Some(to) = u {
-            *to = next;
-            next += 1;
-            planes.push(*p);
-        }
+    // planes without a pixel disappear
+    let used: Vec<u8> = (0..tile.planes.len() as u8).filter(|l| labels.contains(l)).collect();
+    let planes = used.iter().map(|&l| tile.planes[usize::from(l)]).collect();
+    let mut places = [0; 256];
+    for (place, &l) in (0..).zip(&used) {
+        places[usize::from(l)] = place;
     }
     for l in &mut labels {
-        *l = used[*l as usize].unwrap_or(0);
+        *l = places[usize::from(*l)];
     }
     Tile { planes, labels, background: tile.background }
 }
 
 /// Means of 2×2 pixels; an odd last row or column counts twice.
 fn halved_photo(p: &Photo) -> Photo {
-    let (width, height) = (p.width.div_ceil(2), p.height.div_ceil(2));
-    let mut rgb = Vec::with_capacity(width as usize * height as usize);
-    for y in 0..height {
-        let (y0, y1) = (2 * y, (2 * y + 1).min(p.height - 1));
-        for x in 0..width {
-            let (x0, x1) = (2 * x, (2 * x + 1).min(p.width - 1));
-            let four = [p.at(x0, y0), p.at(x1, y0), p.at(x0, y1), p.at(x1, y1)];
-            rgb.push(std::array::from_fn(|c| ((four.iter().map(|q| u16::from(q[c])).sum::<u16>() + 2) / 4) as u8));
-        }
-    }
-    Photo { width, height, rgb }
+    Photo::from_fn(p.width.div_ceil(2), p.height.div_ceil(2), |x, y| {
+        let (x1, y1) = ((2 * x + 1).min(p.width - 1), (2 * y + 1).min(p.height - 1));
+        let four = [p.at(2 * x, 2 * y), p.at(x1, 2 * y), p.at(2 * x, y1), p.at(x1, y1)];
+        std::array::from_fn(|c| ((four.iter().map(|q| u16::from(q[c])).sum::<u16>() + 2) / 4) as u8)
+    })
 }
 
 #[cfg(test)]
