@@ -248,10 +248,7 @@ fn a_worse_installed_network_does_not_block_a_better_one() {
     // the server offers the better network and lists the networks that it beats
     let server = TmpiServer::start(&folder, &files.url, &digest);
     let state = server.network();
-    assert_eq!(
-        (&state["name"], &state["better"]["name"], &state["better_than"][0]),
-        (&json!("dpt-large"), &json!(NAME), &json!("dpt-hybrid"))
-    );
+    assert_eq!([&state["name"], &state["better"]["name"], &state["better_than"][0]], ["dpt-large", NAME, "dpt-hybrid"]);
     drop(server);
 
     // if the download fails, the program uses the installed network

@@ -81,11 +81,7 @@ fn requests_for_a_damaged_photo_report_the_damage() {
                 let path = format!("/v1/photos/{}/{ask}", made.id);
                 assert_eq!(get(made.server.addr, &path).problem(500)["type"], "urn:tmpi:problem:damaged", "{context}");
                 let state = made.server.state(&made.id);
-                assert_eq!(
-                    (&state["state"], &state["problem"]["type"]),
-                    (&"damaged".into(), &"urn:tmpi:problem:damaged".into()),
-                    "{context}"
-                );
+                assert_eq!([&state["state"], &state["problem"]["type"]], ["damaged", "urn:tmpi:problem:damaged"], "{context}");
                 assert!(state["problem"]["detail"].as_str().unwrap().contains("container is damaged"), "{state}");
                 // the photo's other files are not served either
                 get(made.server.addr, &format!("/v1/photos/{}/thumbnail", made.id)).problem(500);

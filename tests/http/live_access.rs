@@ -82,10 +82,8 @@ fn pages_of_other_sites_watch_with_a_token_and_never_publish() {
     }
     assert_eq!(ask("OPTIONS", "/token", &preflight).header("access-control-allow-origin"), None);
     let refused = ask("GET", "", &[]);
-    assert_eq!(
-        (refused.problem(403)["type"].as_str(), refused.header("access-control-allow-origin")),
-        (Some("urn:tmpi:problem:token"), Some("*"))
-    );
+    assert_eq!(refused.problem(403)["type"], "urn:tmpi:problem:token");
+    assert_eq!(refused.header("access-control-allow-origin"), Some("*"));
     let bearer = format!("Bearer {watch}");
     let state = ask("GET", "", &[("authorization", &bearer)]);
     assert_eq!((state.status, state.json()["publishing"].as_bool(), state.json()["may_publish"].as_bool()), (200, Some(true), Some(false)));

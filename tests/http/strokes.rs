@@ -27,13 +27,8 @@ fn strokes_make_the_photo_again_and_stay_with_it() {
     assert_eq!(none.json(), json!({ "version": 1, "strokes": [] }));
 
     let seen = none.header("etag").unwrap();
-    let changed = patch(&server, &photo, &[WAIT, ("if-match", seen)], &json!({ "strokes": [sky()] }));
-    assert_eq!(
-        (changed.status, changed.header("preference-applied")),
-        (200, Some("wait=30")),
-        "{}",
-        String::from_utf8_lossy(&changed.body)
-    );
+    let changed = patch(&server, &photo, &[WAIT, ("if-match", seen)], &json!({ "strokes": [sky()] })).is(200);
+    assert_eq!(changed.header("preference-applied"), Some("wait=30"));
     let after = changed.json();
     assert_eq!((&after["state"], &after["id"], &after["settings"]["title"]), (&json!("done"), &before["id"], &json!("A box")));
     assert_ne!(after["version"], before["version"]);
