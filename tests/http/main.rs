@@ -25,6 +25,7 @@ mod live_faults;
 mod live_hostile;
 mod live_video_changes;
 mod makers;
+mod network_downloads;
 mod nodes;
 mod open_matrix;
 mod openapi;
