@@ -79,6 +79,13 @@ impl Connection {
         Self { stream: BufReader::new(stream), host: addr.to_string() }
     }
 
+    /// A connection on which a file was asked for.
+    pub fn asking(addr: SocketAddr, path: &str) -> Self {
+        let mut connection = Self::open(addr);
+        connection.send("GET", path, &[], &[]);
+        connection
+    }
+
     pub fn raw(&mut self) -> &mut TcpStream {
         self.stream.get_mut()
     }

@@ -121,8 +121,7 @@ fn a_body_that_is_cut_off_midway_is_an_error_for_its_client() {
     // the server keeps the file open
     let half = made.whole.len() / 2;
     std::fs::File::options().write(true).open(made.file("container")).unwrap().set_len(half as u64).unwrap();
-    let mut client = Connection::open(made.server.addr);
-    client.send("GET", &path, &[], &[]);
+    let mut client = Connection::asking(made.server.addr, &path);
     let (mut answer, patience) = (Vec::new(), Instant::now());
     let ended = client.raw().read_to_end(&mut answer);
     let came = answer.len();

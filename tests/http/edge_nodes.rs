@@ -259,10 +259,7 @@ fn viewers_of_a_group_at_an_edge_share_one_request_to_the_origin() {
         newest.is_some()
     });
     let group = format!("/gops/{}", newest.unwrap());
-    let mut viewers: Vec<Connection> = (0..6).map(|_| Connection::open(b.addr)).collect();
-    for viewer in &mut viewers {
-        viewer.send("GET", &format!("/v1/live/porch{group}"), &[], &[]);
-    }
+    let mut viewers: Vec<_> = (0..6).map(|_| Connection::asking(b.addr, &format!("/v1/live/porch{group}"))).collect();
     for viewer in &mut viewers {
         assert_eq!(viewer.head().unwrap().status, 200);
     }

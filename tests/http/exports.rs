@@ -298,8 +298,7 @@ mod processes {
         let dir = tempfile::tempdir().unwrap();
         let (server, photo) = with_writer(dir.path(), &[], &heavy(4));
         let maker = server.hold();
-        let mut client = Connection::open(server.addr);
-        client.send("GET", &format!("/v1/photos/{photo}/export?format=zip"), &[], &[]);
+        let client = Connection::asking(server.addr, &format!("/v1/photos/{photo}/export?format=zip"));
         let held = || figure(server.addr, "tmpi_job_memory_bytes");
         wait_until("the export runs", || held() > 0);
         drop(client);

@@ -121,8 +121,7 @@ fn connections_over_the_limit_wait_their_turn() {
     let server = Running::with(Limits { connections: 2, ..Limits::default() }, Arc::new(pipeline()));
     let (mut a, mut b) = (Connection::open(server.addr), Connection::open(server.addr));
     assert_eq!((a.request("GET", "/healthz", &[], &[]).status, b.request("GET", "/healthz", &[], &[]).status), (200, 200));
-    let mut third = Connection::open(server.addr);
-    third.send("GET", "/healthz", &[], &[]);
+    let mut third = Connection::asking(server.addr, "/healthz");
     // meanwhile the server serves the open connections
     for _ in 0..100 {
         let metrics = b.request("GET", "/metrics", &[], &[]).text();

@@ -120,13 +120,8 @@ fn abandoned_views_are_not_drawn() {
     const CLIENTS: usize = 8;
     let server = Running::with(Limits { views: 1, views_waiting: CLIENTS, ..Limits::default() }, Arc::new(pipeline()));
     let photo = format!("/v1/photos/{}", server.make(&picture(1, PictureFormat::Png)));
-    let clients: Vec<Connection> = (0..CLIENTS)
-        .map(|n| {
-            let mut client = Connection::open(server.addr);
-            client.send("GET", &format!("{photo}/view?tx=0.00{n}&w=4000&h=3000&format=png"), &[], &[]);
-            client
-        })
-        .collect();
+    let path = |n: usize| format!("{photo}/view?tx=0.00{n}&w=4000&h=3000&format=png");
+    let clients: Vec<_> = (0..CLIENTS).map(|n| Connection::asking(server.addr, &path(n))).collect();
     // the request for the metrics counts, too
     wait_until("all ask", || server.metric("tmpi_requests_in_flight") > CLIENTS as u64);
     drop(clients);
