@@ -196,15 +196,6 @@ fn a_photo_that_keeps_crashing_its_process_fails() {
     server.make(&jpeg(1));
 }
 
-/// Fails with each of `faults` in turn, then makes photos.
-fn failing(faults: Vec<Fault>) -> Arc<dyn Maker> {
-    let faults = std::sync::Mutex::new(faults.into_iter());
-    Arc::new(Does(move |photo: &[u8], sink: &dyn Sink| match faults.lock().unwrap().next() {
-        Some(fault) => Err(fault),
-        None => Maker::make(&pipeline(), photo, None, &Options::default(), sink),
-    }))
-}
-
 #[test]
 fn a_server_fault_is_reported_and_the_photo_waits_until_it_is_fixed() {
     let faults = (0..3).map(|_| Fault::Server("no library".into())).collect();

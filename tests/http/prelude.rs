@@ -18,4 +18,4 @@ pub use crate::fixture::{
     serves_others, spoilt, spoilt_map, state, usual, wait_until, with_rooms,
 };
 pub use crate::key_fixture::Scope;
-pub use crate::makers::{Does, Gate, SlowDrawing, bright, models, pipeline, way_within, with_network};
+pub use crate::makers::{Does, Gate, SlowDrawing, bright, failing, models, pipeline, way_within, with_network};

@@ -100,17 +100,8 @@ fn a_failed_photo_says_why_and_the_same_upload_tries_again() {
     assert_eq!((state["state"].as_str(), state["problem"]["status"].as_u64()), (Some("failed"), Some(422)));
     get(server.addr, &format!("/v1/photos/{id}/atlas")).problem(422);
 
-    let gate = Gate::new(9);
-    let flaky = {
-        let gate = gate.clone();
-        Does(move |photo: &[u8], sink: &dyn Sink| {
-            if gate.finished.fetch_add(1, Ordering::SeqCst) == 0 {
-                return Err(Fault::from(MakeError::Photo(tmpi_pipeline::photo::PhotoError::Broken("the first time".into()))));
-            }
-            Maker::make(&pipeline(), photo, None, &Options::default(), sink)
-        })
-    };
-    let server = Running::with(Limits::default(), Arc::new(flaky));
+    let broken = MakeError::Photo(tmpi_pipeline::photo::PhotoError::Broken("the first time".into()));
+    let server = Running::with(Limits::default(), failing(vec![broken.into()]));
     let id = server.upload(&jpeg(1));
     server.wait(&id, "failed");
     assert_eq!(server.upload(&jpeg(1)), id);

@@ -79,10 +79,8 @@ fn the_life_of_a_photo_is_told_and_signed() {
 
 #[test]
 fn a_failed_photo_is_told_with_its_problem() {
-    let fails = Does(|_: &[u8], _: &dyn Sink| {
-        Err(Fault::Photo(Problem::new(axum::http::StatusCode::UNPROCESSABLE_ENTITY, "broken-photo", "it is torn")))
-    });
-    let server = Running::configured(Arc::new(fails), |config| Config { webhook_addresses: AddressPolicy::Any, ..config });
+    let torn = Fault::Photo(Problem::new(axum::http::StatusCode::UNPROCESSABLE_ENTITY, "broken-photo", "it is torn"));
+    let server = Running::configured(failing(vec![torn]), |config| Config { webhook_addresses: AddressPolicy::Any, ..config });
     let (failed, done) = (Receiver::start(|_| Answer::of(200)), Receiver::start(|_| Answer::of(200)));
     add(&server, &json!({ "url": failed.url, "events": ["photo.failed"] }));
     let (other, _) = add(&server, &json!({ "url": done.url, "events": ["photo.done"] }));
