@@ -19,11 +19,6 @@ pub fn size(bytes: &[u8]) -> Result<Size, ContainerError> {
     Ok(Size { pixels: u64::from(grid.width) * u64::from(grid.height), texels: planes * tile })
 }
 
-/// A grid like that of photos.
-pub fn grid(width: u32, height: u32, size: u32) -> Grid {
-    Grid::new(width, height, size)
-}
-
 /// Decodes labels, then encodes and decodes them again.
 pub fn labels(grid: &Grid, counts: &[u8], stream: &[u8]) {
     let Ok(read) = labels::decode(grid, counts, stream) else { return };
