@@ -10,7 +10,7 @@ fn order(addr: SocketAddr, photo: &str, parameters: &str) -> Response {
 }
 
 /// Orders a file and waits for it; returns its state.
-fn written(addr: SocketAddr, photo: &str, parameters: &str) -> Value {
+pub fn written(addr: SocketAddr, photo: &str, parameters: &str) -> Value {
     let ordered = order(addr, photo, parameters).any_of(&[200, 202]);
     ended(addr, ordered.header("location").unwrap(), "done")
 }

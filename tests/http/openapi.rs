@@ -2,6 +2,7 @@
 
 use tmpi::server::{BasePath, routes};
 
+use crate::exports::written;
 use crate::live::{Publisher, frame};
 use crate::prelude::*;
 
@@ -28,10 +29,11 @@ fn every_route_of_the_document_answers_as_it_says() {
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
             // a new export for each call: a previous call may have deleted it or made the photo again
-            let key = if path.contains("{key}") { written(&server, &photo) } else { String::new() };
+            let export = if path.contains("{key}") { written(server.addr, &photo, "format=glb") } else { Value::Null };
+            let key = export["key"].as_str().unwrap_or_default();
             let path = if path == "/oembed" { "/oembed?url=http://localhost/view/{id}" } else { path };
             let id = if path.starts_with("/v1/webhooks") { &webhook } else { &photo };
-            let path = path.replace("{id}", id).replace("{key}", &key).replace("{room}", "attic").replace("{group}", &first);
+            let path = path.replace("{id}", id).replace("{key}", key).replace("{room}", "attic").replace("{group}", &first);
             let call = (method.to_uppercase(), path, operation);
             if method == "delete" && key.is_empty() {
                 deletions.push(call);
@@ -52,13 +54,6 @@ fn every_route_of_the_document_answers_as_it_says() {
     let (documented, pages): (Vec<_>, Vec<_>) = routes().into_iter().partition(|r| document["paths"][&r.path].is_object());
     assert_eq!(count, documented.iter().map(|r| r.methods.len()).sum::<usize>());
     assert!(pages.iter().all(|r| !r.path.starts_with("/v1/") && r.methods == ["GET"]), "{pages:?}");
-}
-
-/// Orders a file and waits for it; returns its key.
-fn written(server: &Running, photo: &str) -> String {
-    let state = || request(server.addr, "POST", &format!("/v1/photos/{photo}/exports?format=glb"), &[], &[]).json();
-    wait_until("a file is written", || state()["state"] == "done");
-    state()["key"].as_str().unwrap().to_owned()
 }
 
 fn check(server: &Running, (method, path, operation): &(String, String, &Value)) {
