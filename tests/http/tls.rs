@@ -169,12 +169,6 @@ fn http_2_announces_the_configured_limit_of_streams() {
     });
 }
 
-/// A photo padded beyond the limit of a body.
-fn large(mut photo: Vec<u8>) -> Vec<u8> {
-    photo.resize(Limits::BODY + 1, 7);
-    photo
-}
-
 #[test]
 fn many_requests_at_a_time_over_http_2() {
     let (server, id, atlas) = start(Limits::default());
@@ -198,8 +192,8 @@ fn many_requests_at_a_time_over_http_2() {
             let _ = body.send_data(photo, true);
             whole(answer).await.map(|(head, body)| (head.status().as_u16(), body))
         };
-        let (photo, large) = (Bytes::from(jpeg(2)), Bytes::from(large(jpeg(3))));
-        let (taken, refused) = tokio::join!(upload(photo, "/v1/photos"), upload(large, "/v1/photos"));
+        let large = [jpeg(3), vec![7; Limits::BODY]].concat();
+        let (taken, refused) = tokio::join!(upload(jpeg(2).into(), "/v1/photos"), upload(large.into(), "/v1/photos"));
         let (status, body) = taken.unwrap();
         assert_eq!(status, 202, "{}", String::from_utf8_lossy(&body));
         assert_eq!(refused.map_or_else(|e| panic!("{e}"), |(status, _)| status), 413);
