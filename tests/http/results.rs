@@ -407,11 +407,8 @@ fn text_is_compressed_if_accepted_and_pictures_and_containers_never_are() {
     use std::io::Read as _;
     let server = Running::open();
     // a large report, and a list
-    let ids: Vec<String> = [large(1), jpeg(1), jpeg(2)].iter().map(|photo| server.upload(photo)).collect();
-    for id in &ids {
-        server.wait(id, "done");
-    }
-    let photo = format!("/v1/photos/{}", ids[0]);
+    let [id, ..] = [large(1), jpeg(1), jpeg(2)].map(|photo| server.make(&photo));
+    let photo = format!("/v1/photos/{id}");
     let ask = |path: &str, coding: &str| request(server.addr, "GET", path, &[("accept-encoding", coding)], &[]);
     let report = format!("{photo}/report");
     let texts =
