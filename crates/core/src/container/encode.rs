@@ -101,7 +101,8 @@ pub fn encode_in(
     let (mut blocks, mut per_row) = (0, 0);
     if let Some(how) = optional.hidden {
         blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
-        per_row = hidden::columns_for(blocks);
+        // an approximately square picture
+        per_row = (blocks as f64).sqrt().ceil() as usize;
         if blocks > 0 {
             let (w, h, rgb) = hidden::paint(&scene.layers, &scene.texels.class, &scene.texels.hidden, blocks, per_row);
             let (codec, picture) = match how {

@@ -54,12 +54,6 @@ pub fn walk(layers: &[Layer], class: &[u8], mut place: impl FnMut(usize, usize, 
     blocks
 }
 
-/// Number of blocks per row for an approximately square picture.
-#[cfg(feature = "write")]
-pub fn columns_for(blocks: usize) -> usize {
-    (blocks as f64).sqrt().ceil() as usize
-}
-
 /// Paints the blocks. Pixels without a hidden texel smoothly continue those with one, which is cheapest for a codec.
 #[cfg(feature = "write")]
 pub fn paint(layers: &[Layer], class: &[u8], hidden: &[[u8; 3]], blocks: usize, columns: usize) -> (u32, u32, Vec<u8>) {
