@@ -141,7 +141,7 @@ fn read_all(file: &[u8]) {
 }
 
 fn grid(width: u8, height: u8, size: u8) -> Grid {
-    container::fuzzing::grid(u32::from(width) + 1, u32::from(height) + 1, u32::from(size) % 80 + 1)
+    Grid::new(u32::from(width) + 1, u32::from(height) + 1, u32::from(size) % 80 + 1)
 }
 
 /// The labels of a grid. Promise: labels below their tile's count, which survive writing and reading.

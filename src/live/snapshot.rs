@@ -6,11 +6,11 @@ use std::sync::{Arc, OnceLock};
 use bytes::Bytes;
 use tokio::sync::OnceCell;
 
-use tmpi_core::container::{self, ContainerError, EncodedPhoto, OptionalSections};
+use tmpi_core::container::{self, ContainerError, EncodedPhoto};
 use tmpi_core::live::chunk::{self, Area};
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::{schema, write};
-use tmpi_core::{Geometry, Photo, Scene, Texels};
+use tmpi_core::{Geometry, Photo};
 
 use crate::server::Problem;
 
@@ -43,7 +43,7 @@ impl FrameWithTiles {
         let written = self.atlas.get_or_try_init(|| {
             let still = Arc::clone(self);
             async move {
-                let bytes = tokio::task::spawn_blocking(move || contained(still.photo.clone(), &still.tiles.geometry)).await;
+                let bytes = tokio::task::spawn_blocking(move || contained(&still.photo, &still.tiles.geometry)).await;
                 bytes.map_err(|e| wrong(&e))?.map(Bytes::from).map_err(|e| wrong(&e))
             }
         });
@@ -51,11 +51,8 @@ impl FrameWithTiles {
     }
 }
 
-fn contained(photo: Photo, geometry: &Geometry) -> Result<Vec<u8>, ContainerError> {
-    let photo_file = EncodedPhoto::from_photo(&photo, QUALITY)?;
-    let (grid, intrinsics, view_box) = (geometry.grid, geometry.intrinsics, geometry.view_box);
-    let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
-    container::encode(geometry, &scene, &photo_file, OptionalSections::default()).map(|(bytes, _)| bytes)
+fn contained(photo: &Photo, geometry: &Geometry) -> Result<Vec<u8>, ContainerError> {
+    container::encode_geometry(geometry, &EncodedPhoto::from_photo(photo, QUALITY)?)
 }
 
 impl Tiles {

@@ -1,12 +1,10 @@
 //! Settings of `serve` from the file, environment variables and options.
 
-use std::process::Command;
-
 use super::fixture::{Folder, Run};
 
 fn with(folder: &Folder, variables: &[(&str, &str)], program: &str, args: &[&str]) -> Run {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-    command.current_dir(folder.path("")).env_remove("TMPI_CONFIG").envs(variables.iter().copied()).arg(program).args(args);
+    let mut command = folder.command();
+    command.env_remove("TMPI_CONFIG").envs(variables.iter().copied()).arg(program).args(args);
     Run::from(command.output().unwrap())
 }
 
@@ -112,8 +110,7 @@ fn invalid_settings_are_rejected_by_name() {
     config(&f, &[("TMPI_SERVE_QUUE", "3")], &[]).fails(2, &["TMPI_SERVE_QUUE", "tmpi config"]);
     // other commands do not read the file
     f.write("tmpi.toml", b"quue = 3");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-    Run::from(command.args(["models", "list"]).env("TMPI_CONFIG", f.path("tmpi.toml")).output().unwrap()).succeeds();
+    Run::from(f.command().args(["models", "list"]).env("TMPI_CONFIG", f.path("tmpi.toml")).output().unwrap()).succeeds();
 }
 
 #[test]

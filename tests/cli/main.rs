@@ -8,8 +8,6 @@ mod rendering;
 #[cfg(unix)]
 mod watch;
 
-use std::process::Command;
-
 use fixture::{Folder, Run, has};
 
 #[test]
@@ -98,8 +96,8 @@ fn a_closed_pipe_does_not_stop_the_program() {
     let f = Folder::new();
     for json in [&[][..], &["--json"]] {
         let (reader, writer) = std::io::pipe().unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-        command.current_dir(f.path("")).args(["make", "box.png", "--depth", "depth.png", "--force", "-o", "box.tmpi"]).args(json);
+        let mut command = f.command();
+        command.args(["make", "box.png", "--depth", "depth.png", "--force", "-o", "box.tmpi"]).args(json);
         command.stdout(writer.try_clone().unwrap()).stderr(writer);
         let mut child = command.spawn().unwrap();
         // `command` also owns a write end of the pipe
@@ -110,9 +108,7 @@ fn a_closed_pipe_does_not_stop_the_program() {
     f.container();
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-    command.current_dir(f.path("")).args(["info", "box.tmpi"]).stdout(writer).stderr(std::process::Stdio::piped());
-    let run = Run::from(command.output().unwrap());
+    let run = Run::from(f.command().args(["info", "box.tmpi"]).stdout(writer).stderr(std::process::Stdio::piped()).output().unwrap());
     assert_eq!((run.code, run.err.as_str()), (0, ""));
 }
 
@@ -121,11 +117,7 @@ fn a_closed_pipe_does_not_stop_the_program() {
 fn errors_are_printed_once() {
     let f = Folder::new();
     f.container();
-    let plain = |args: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-        command.current_dir(f.path("")).env_remove("XDG_RUNTIME_DIR").env_remove("RUST_LOG").args(args);
-        Run::from(command.output().unwrap())
-    };
+    let plain = |args: &[&str]| Run::from(f.command().env_remove("XDG_RUNTIME_DIR").args(args).output().unwrap());
     let drawn = plain(&["render", "box.tmpi", "-o", "v.png"]);
     assert_eq!((drawn.code, drawn.err.as_str()), (0, ""));
     let run = plain(&["make", "nosuch.jpg", "-o", "x.tmpi"]);

@@ -1,7 +1,5 @@
 //! `tmpi render` and `tmpi export`.
 
-use std::process::Command;
-
 use image::DynamicImage;
 use serde_json::Value;
 use tmpi_testing::Need;
@@ -125,9 +123,8 @@ fn a_film_needs_a_path_and_ffmpeg() {
     f.container();
     f.run(&["render", "box.tmpi", "-o", "way.mp4"]).fails(2, &["--output", ".png"]);
     f.run(&["render", "box.tmpi", "-o", "way.gif", "--path", "orbit"]).fails(2, &[".mp4"]);
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-    command.current_dir(f.path("")).env("PATH", "").args(["render", "box.tmpi", "-o", "way.mp4", "--path", "swing", "--frames", "3"]);
-    Run::from(command.output().unwrap()).fails(1, &["ffmpeg", "not installed"]);
+    let film = ["render", "box.tmpi", "-o", "way.mp4", "--path", "swing", "--frames", "3"];
+    Run::from(f.command().env("PATH", "").args(film).output().unwrap()).fails(1, &["ffmpeg", "not installed"]);
     assert!(!f.path("way.mp4").exists());
     f.run(&["render", "box.tmpi", "-o", "way.png", "--path", "swing", "--frames", "3"]).succeeds();
     assert!(f.path("way-0003.png").exists());

@@ -1,12 +1,14 @@
 //! `tmpi make DIR --watch` as a program: started, stopped and started again.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, ChildStdout, Stdio};
+use std::process::{ChildStdout, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
+use tmpi_testing::program::Killed;
 
 use crate::fixture::Folder;
 
@@ -15,7 +17,7 @@ const PATIENCE: Duration = Duration::from_mins(2);
 
 /// A program that follows the folder `in`.
 struct Follower {
-    child: Child,
+    child: Killed,
     lines: Receiver<String>,
 }
 
@@ -23,10 +25,10 @@ impl Follower {
     fn start(folder: &Folder) -> Self {
         let mut command = folder.command();
         command.args(["make", "in", "-o", "out", "--watch", "--json"]).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = command.spawn().unwrap();
+        let mut child = Killed(command.spawn().unwrap());
         let (send, lines) = channel();
         let read = move |out: ChildStdout| BufReader::new(out).lines().map_while(Result::ok).try_for_each(|line| send.send(line));
-        let out = child.stdout.take().unwrap();
+        let out = child.0.stdout.take().unwrap();
         std::thread::spawn(move || read(out));
         Self { child, lines }
     }
@@ -39,20 +41,9 @@ impl Follower {
 
     /// Sends SIGTERM; the exit code, the photos made since the last call of `made`, and standard error.
     fn stop(mut self) -> (Option<i32>, usize, String) {
-        // SAFETY: sending a signal to a child that was not waited for
-        #[allow(unsafe_code, reason = "the standard library sends no signals")]
-        let sent = unsafe { libc::kill(self.child.id() as libc::pid_t, libc::SIGTERM) };
-        assert_eq!(sent, 0);
-        let mut err = String::new();
-        self.child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
-        (self.child.wait().unwrap().code(), self.lines.iter().count(), err)
-    }
-}
-
-impl Drop for Follower {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        kill_process(Pid::from_child(&self.child.0), Signal::TERM).unwrap();
+        let err = std::io::read_to_string(self.child.0.stderr.take().unwrap()).unwrap();
+        (self.child.0.wait().unwrap().code(), self.lines.iter().count(), err)
     }
 }
 

@@ -1,11 +1,11 @@
 //! Commands in code blocks: their options are valid, and marked blocks run.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use tmpi_testing::Need;
+use tmpi_testing::program::Killed;
 
 use crate::{pages, root};
 
@@ -38,7 +38,7 @@ fn commands_have_the_options_of_the_program() {
 
 /// A server for blocks that need one.
 struct Server {
-    child: Child,
+    _process: Killed,
     address: String,
     photo: String,
 }
@@ -46,26 +46,17 @@ struct Server {
 impl Server {
     /// Starts it with data in `tmpi-data` and makes `photo.jpg`.
     fn start(shell: &impl Fn(&str) -> Command) -> Self {
-        let mut child = shell("exec tmpi serve --addr 0 2> server.log").stdout(Stdio::piped()).spawn().unwrap();
-        let mut address = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut address).unwrap();
-        let address = address.trim().to_owned();
+        let mut process = Killed(shell("exec tmpi serve --addr 0 2> server.log").stdout(Stdio::piped()).spawn().unwrap());
+        let address = process.first_line();
         let upload = shell(&format!("curl -H 'Prefer: wait=60' -F photo=@photo.jpg {address}/v1/photos")).output().unwrap();
         let state: serde_json::Value = serde_json::from_slice(&upload.stdout).unwrap();
         assert_eq!(state["state"], "done", "{state}");
-        Self { child, address, photo: state["id"].as_str().unwrap().to_owned() }
+        Self { _process: process, address, photo: state["id"].as_str().unwrap().to_owned() }
     }
 
     /// A line with its address and photo.
     fn line(&self, line: &str) -> String {
         line.replace("http://127.0.0.1:8080", &self.address).replace("/ID", &format!("/{}", self.photo))
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
@@ -92,7 +83,9 @@ fn marked_blocks_run() {
         let mut server = None;
         for block in page.blocks().iter().filter(|b| b.runs) {
             for line in &block.lines {
-                if (line.contains("mp4") || line.contains(".webp")) && Need::Ffmpeg.or_skip(has_ffmpeg()).is_none() {
+                if (line.contains("mp4") || line.contains(".webp"))
+                    && Need::Ffmpeg.or_skip(Command::new("ffmpeg").arg("-version").output()).is_none()
+                {
                     continue;
                 }
                 let line = if block.needs_server { server.get_or_insert_with(|| Server::start(&shell)).line(line) } else { line.clone() };
@@ -104,8 +97,4 @@ fn marked_blocks_run() {
     }
     println!("{count} commands ran");
     assert!(count > 40, "{count} commands ran");
-}
-
-fn has_ffmpeg() -> Result<(), String> {
-    Command::new("ffmpeg").arg("-version").output().map(drop).map_err(|e| format!("ffmpeg: {e}"))
 }

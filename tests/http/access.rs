@@ -1,7 +1,5 @@
 //! Permissions on a server with `--access private`.
 
-use std::time::{SystemTime, UNIX_EPOCH};
-
 use crate::key_fixture;
 use crate::prelude::*;
 
@@ -31,9 +29,7 @@ pub fn ask(server: &Running, method: &str, path: &str, headers: &[(&str, &str)],
 /// Uploads with `who` as `Authorization`, if given; returns the state.
 pub fn upload(server: &Running, who: Option<&str>, photo: u8) -> Value {
     let headers: Vec<_> = who.map(|who| ("authorization", who)).into_iter().chain([("prefer", "wait=60")]).collect();
-    let answer = ask(server, "POST", "/v1/photos", &headers, &jpeg(photo));
-    assert!(matches!(answer.status, 201 | 202), "{}", String::from_utf8_lossy(&answer.body));
-    answer.json()
+    ask(server, "POST", "/v1/photos", &headers, &jpeg(photo)).any_of(&[201, 202]).json()
 }
 
 /// A response without the parts that differ from request to request.
@@ -66,14 +62,13 @@ fn photos_are_private_to_their_owner() {
     let none = "0".repeat(32);
     let of = |id: &str| plain(&ask(&server, "GET", &format!("/v1/photos/{id}/atlas?level=9"), &[("authorization", &bob)], &[]), id);
     assert!(of(&a).starts_with("404") && of(&a) == of(&none), "{}", of(&a));
-    let json = ("content-type", "application/json");
     // only the owner's own browser may cache a private photo
     let atlas = of_ann["links"]["atlas"].as_str().unwrap();
     let own = ask(&server, "GET", atlas, &[("authorization", &ann)], &[]);
     assert_eq!((own.status, own.header("cache-control")), (200, Some("private, no-cache")));
     assert!(own.all("vary").contains("authorization"));
     // with `visibility: link` everyone with the address sees it, and still only the owner may change it
-    let change = |body: &[u8]| ask(&server, "PATCH", &format!("/v1/photos/{a}"), &[("authorization", &ann), json], body).status;
+    let change = |body: &[u8]| ask(&server, "PATCH", &format!("/v1/photos/{a}"), &[("authorization", &ann), JSON], body).status;
     assert_eq!(change(br#"{"visibility": "link"}"#), 200);
     assert_eq!(ask(&server, "GET", atlas, &[], &[]).header("cache-control"), Some("public, max-age=31536000, immutable"));
     assert_eq!(ask(&server, "DELETE", &format!("/v1/photos/{a}"), &[("authorization", &bob)], &[]).status, 404);
@@ -104,15 +99,11 @@ fn an_upload_without_a_secret_is_answered_with_the_photos_token() {
         assert!(matches!(of(&address, wrong).status, 401 | 404), "{wrong}");
     }
     // a browser keeps the secret as a cookie; pages of other sites cannot use it
-    let kept = ask(&server, "POST", "/v1/owner", &[("authorization", &format!("Bearer {secret}"))], &[]);
-    assert_eq!(kept.status, 204);
-    let cookie = kept.header("set-cookie").unwrap().to_owned();
+    let cookie = ask(&server, "POST", "/v1/owner", &[("authorization", &format!("Bearer {secret}"))], &[]).is(204);
+    let cookie = cookie.header("set-cookie").unwrap().to_owned();
     assert!(cookie.contains("; HttpOnly; SameSite=Lax") && !cookie.contains("Secure"), "{cookie}");
     let pair = cookie.split(';').next().unwrap();
-    let by_cookie = |headers: &[(&str, &str)]| {
-        let all: Vec<_> = [("cookie", pair)].into_iter().chain(headers.iter().copied()).collect();
-        ask(&server, "GET", &address, &all, &[]).status
-    };
+    let by_cookie = |headers: &[(&str, &str)]| ask(&server, "GET", &address, &[&[("cookie", pair)], headers].concat(), &[]).status;
     assert_eq!(by_cookie(&[("sec-fetch-site", "same-origin")]), 200);
     for site in ["cross-site", "same-site"] {
         assert_eq!(by_cookie(&[("sec-fetch-site", site)]), 404, "{site}");
@@ -140,7 +131,7 @@ fn links_last_no_longer_than_the_configured_limit() {
     let links = |query: &str| ask(&server, "POST", &format!("/v1/photos/{one}/links{query}"), &[("authorization", &ann)], &[]);
     let refused = links("?seconds=3601").problem(400);
     assert!(refused["detail"].as_str().unwrap().contains("1 to 3600"), "{refused}");
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs();
+    let now = seconds_now();
     for query in ["", "?seconds=3600"] {
         let expires = links(query).json()["expires"].as_u64().unwrap();
         assert!((now + 3600..now + 3660).contains(&expires), "{query}");
@@ -218,6 +209,44 @@ fn keys_list_the_photos_of_their_name_and_are_replaced_while_the_server_runs() {
         assert_eq!(key_fixture::remove(server.data(), "site", Some(&old.id)), 1);
     }
     assert_eq!((by(&new, &at).status, by(&read, &at).status), (200, 401));
+}
+
+#[test]
+fn an_unknown_key_is_answered_with_www_authenticate() {
+    let server = private();
+    for path in ["/v1/photos", "/healthz"] {
+        let answer = ask(&server, "GET", path, &[("authorization", "Bearer tmpi_k_none")], &[]);
+        assert_eq!((answer.status, answer.header("www-authenticate")), (401, Some("Bearer error=\"invalid_token\"")), "{path}");
+    }
+}
+
+#[test]
+fn if_match_protects_a_changed_photo_from_deletion_and_again_answers_a_location() {
+    let server = private();
+    let ann = secret("a");
+    let at = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
+    let own = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
+        ask(&server, method, path, &[&[("authorization", ann.as_str())], more].concat(), body)
+    };
+    let again = own("POST", &format!("{at}/remake"), &[("prefer", "wait=60")], &[]);
+    assert_eq!((again.status, again.header("location")), (200, Some(at.as_str())));
+    let seen = own("GET", &at, &[], &[]).header("etag").unwrap().to_owned();
+    assert_eq!(own("PATCH", &at, &[JSON], br#"{"title": "The attic"}"#).status, 200);
+    assert_eq!(own("DELETE", &at, &[("if-match", &seen)], &[]).problem(412)["field"], "If-Match");
+    let now = own("GET", &at, &[], &[]).header("etag").unwrap().to_owned();
+    assert_eq!(own("DELETE", &at, &[("if-match", &now)], &[]).status, 204);
+    assert_eq!(own("GET", &at, &[], &[]).status, 404);
+}
+
+#[test]
+fn pages_are_only_at_their_own_addresses() {
+    let server = private();
+    for name in ["upload-page.html", "view-page.html", "embed-page.html", "VIEW-PAGE.HTML"] {
+        assert_eq!(ask(&server, "GET", &format!("/static/app/{name}"), &[], &[]).status, 404, "{name}");
+    }
+    let page = ask(&server, "GET", "/", &[], &[]);
+    assert!(page.status == 200 && page.header("content-security-policy").unwrap().contains("frame-ancestors 'self'"));
+    assert_eq!(ask(&server, "GET", "/tmpi-viewer.js", &[], &[]).status, 200);
 }
 
 /// What the server logs while the tests of this program run.

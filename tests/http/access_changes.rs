@@ -24,19 +24,15 @@ fn event_streams_end_with_their_credential() {
     let server = private_with(Limits::default(), gate.clone());
     let key = |scopes: &[Scope]| key_fixture::add(server.data(), "site", scopes);
     let (owner, reader) = (key(&[Scope::Upload, Scope::Read]), key(&[Scope::Read]));
-    let accepted = ask(&server, "POST", "/v1/photos", &[("authorization", &owner)], &jpeg(1));
-    assert_eq!(accepted.status, 202);
-    let photo = id(&accepted.json());
+    let photo = id(&ask(&server, "POST", "/v1/photos", &[("authorization", &owner)], &jpeg(1)).is(202).json());
     gate.wait_started(1);
-    let json = ("content-type", "application/json");
     let show = |visibility: &str| {
         let body = format!("{{\"visibility\": {visibility:?}}}");
-        let answer = ask(&server, "PATCH", &format!("/v1/photos/{photo}"), &[("authorization", &owner), json], body.as_bytes());
-        assert_eq!(answer.status, 200);
+        ask(&server, "PATCH", &format!("/v1/photos/{photo}"), &[("authorization", &owner), JSON], body.as_bytes()).is(200);
     };
     let open = |query: &str, who: Option<&str>| {
         let headers: Vec<_> = [HOST].into_iter().chain(who.map(|who| ("authorization", who))).collect();
-        let mut events = Events::open_as(&server, &photo, query, &headers);
+        let mut events = Events::open_as(server.addr, &photo, query, &headers);
         assert_eq!(events.next().unwrap().0, "stage", "the first event is the photo's stage");
         events
     };
@@ -70,26 +66,24 @@ fn visibility_is_a_setting_like_others() {
     let ann = secret("a");
     let at = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
     let own = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
-        let headers: Vec<_> = [("authorization", ann.as_str())].into_iter().chain(more.iter().copied()).collect();
-        ask(&server, method, path, &headers, body)
+        ask(&server, method, path, &[&[("authorization", ann.as_str())], more].concat(), body)
     };
     let tag = |path: &str| own("GET", path, &[], &[]).header("etag").unwrap().to_owned();
-    let json = ("content-type", "application/json");
     let state = tag(&at);
     // `If-Match` accepts the tag of a read and the tag of a change's answer
-    let shown = own("PATCH", &at, &[json, ("if-match", &state)], br#"{"visibility": "link"}"#);
+    let shown = own("PATCH", &at, &[JSON, ("if-match", &state)], br#"{"visibility": "link"}"#);
     assert_eq!((shown.status, shown.json()["visibility"].as_str()), (200, Some("link")));
     let answered = shown.header("etag").unwrap();
     assert_eq!((tag(&at).as_str(), own("GET", &at, &[("if-none-match", answered)], &[]).status), (answered, 304));
-    assert_eq!(own("PATCH", &at, &[json, ("if-match", answered)], br#"{"title": "The attic"}"#).status, 200);
+    assert_eq!(own("PATCH", &at, &[JSON, ("if-match", answered)], br#"{"title": "The attic"}"#).status, 200);
     // older tags no longer match
-    assert_eq!(own("PATCH", &at, &[json, ("if-match", &state)], br#"{"title": "B"}"#).problem(412)["type"], "urn:tmpi:problem:changed");
+    assert_eq!(own("PATCH", &at, &[JSON, ("if-match", &state)], br#"{"title": "B"}"#).problem(412)["type"], "urn:tmpi:problem:changed");
     assert_eq!(own("GET", &at, &[("if-none-match", &state)], &[]).status, 200);
     // a stranger who knows a tag gets 404, not 304
     let (page, settings, atlas) = (at.replace("/v1/photos", "/view"), format!("{at}/settings"), format!("{at}/atlas"));
     let seen = |path: &str| ask(&server, "GET", path, &[], &[]).header("etag").map(str::to_owned);
     let known: Vec<_> = [&at, &page, &settings, &atlas].map(|path| (path.clone(), seen(path).unwrap())).into();
-    assert_eq!(own("PATCH", &at, &[json], br#"{"visibility": "private"}"#).status, 200);
+    assert_eq!(own("PATCH", &at, &[JSON], br#"{"visibility": "private"}"#).status, 200);
     for (path, tag) in &known {
         let answer = ask(&server, "GET", path, &[("if-none-match", tag)], &[]);
         assert_eq!(answer.status, 404, "{path}");

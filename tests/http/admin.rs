@@ -60,13 +60,7 @@ fn idle_caches_are_emptied() {
     let id = server.make(&jpeg(1));
     let path = |what: &str| format!("/v1/photos/{id}/{what}");
     let kept = || ["scene", "file", "view", "level"].map(|of| server.metric(&format!("tmpi_{of}_cache_bytes")));
-    let ask = || {
-        ["view?w=32", "atlas", "atlas?level=1"].map(|what| {
-            let answer = get(server.addr, &path(what));
-            assert_eq!(answer.status, 200);
-            answer.body
-        })
-    };
+    let ask = || ["view?w=32", "atlas", "atlas?level=1"].map(|what| get(server.addr, &path(what)).is(200).body);
     let (mut before, mut asked) = (None, false);
     wait_until("all caches are filled", || {
         let now = ask();

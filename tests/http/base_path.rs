@@ -20,10 +20,6 @@ fn below() -> Running {
     })
 }
 
-fn text(answer: Response) -> String {
-    String::from_utf8(answer.body).unwrap()
-}
-
 /// Addresses in a page's attributes that begin with `/`, without fragments.
 fn addresses(page: &str) -> BTreeSet<&str> {
     page.split("=\"").skip(1).filter(|rest| rest.starts_with('/')).filter_map(|rest| rest.split(['"', '#']).next()).collect()
@@ -38,12 +34,12 @@ fn pages_name_addresses_below_the_path() {
     let mut named = BTreeSet::new();
     for path in ["", "/", "/demo", "/view/ID", "/embed/ID", "/live/attic", "/live/attic/publish", "/nothing"] {
         let path = path.replace("ID", &photo);
-        let shown = text(page(&format!("/3d{path}")));
+        let shown = page(&format!("/3d{path}")).text();
         let all = addresses(&shown);
         assert!(all.contains("/3d/static/app/icon.svg"), "{path}: {shown}");
         named.extend(all.into_iter().map(str::to_owned));
         if !path.is_empty() {
-            assert_eq!(text(page(&path)), shown, "{path}: the proxy may remove the path");
+            assert_eq!(page(&path).text(), shown, "{path}: the proxy may remove the path");
         }
     }
     assert!(named.contains("/3d/") && named.contains("/3d/tmpi-viewer.js") && named.len() > 50, "{named:?}");
@@ -57,13 +53,11 @@ fn pages_name_addresses_below_the_path() {
     assert_eq!(ask(&server, "GET", &format!("/3d/view/{photo}"), &known, &[]).status, 304);
     // relative to itself
     let manifest = page("/3d/static/app/manifest.json").json();
-    assert_eq!(
-        (&manifest["start_url"], &manifest["scope"], &manifest["share_target"]["action"]),
-        (&"../../".into(), &"../../".into(), &"share/".into())
-    );
+    let named = [&manifest["start_url"], &manifest["scope"], &manifest["share_target"]["action"]];
+    assert_eq!(named, ["../../", "../../", "share/"]);
     // previews of other sites
     let at = format!("http://photos.example/3d/view/{photo}");
-    assert!(text(shown).contains(&format!("<meta property=\"og:url\" content=\"{at}\" />")));
+    assert!(shown.text().contains(&format!("<meta property=\"og:url\" content=\"{at}\" />")));
     let told = page(&format!("/3d/oembed?url={at}")).json();
     assert_eq!(told["provider_url"], "http://photos.example/3d");
     assert!(told["html"].as_str().unwrap().contains(&format!("src=\"http://photos.example/3d/embed/{photo}\"")), "{told}");
@@ -75,9 +69,8 @@ fn pages_name_addresses_below_the_path() {
 fn answers_name_addresses_below_the_path() {
     let (server, receiver) = (below(), Receiver::start(|_| Answer::of(204)));
     let ann = secret("a");
-    let call = |method: &str, path: &str, body: &[u8]| {
-        ask(&server, method, path, &[("authorization", &ann), ("prefer", "wait=60"), ("content-type", "application/json")], body)
-    };
+    let call =
+        |method: &str, path: &str, body: &[u8]| ask(&server, method, path, &[("authorization", &ann), ("prefer", "wait=60"), JSON], body);
     let hook = call("POST", "/3d/v1/webhooks", json!({ "url": receiver.url }).to_string().as_bytes());
     let hook = hook.header("location").unwrap().to_owned();
     assert!(hook.starts_with("/3d/v1/webhooks/") && call("GET", &hook, &[]).status == 200, "{hook}");

@@ -64,7 +64,7 @@ fn callers_who_may_make_a_photo_again_are_told_of_a_better_network() {
     assert_eq!(get(server.addr, &photo).json()["better_depth"], BETTER, "this machine's own user");
     state(&bob).problem(404);
     // callers who may only see the photo do not see `better_depth`
-    let headers = [("authorization", ann.as_str()), ("content-type", "application/json")];
+    let headers = [("authorization", ann.as_str()), JSON];
     assert_eq!(ask(&server, "PATCH", &photo, &headers, br#"{"visibility": "link"}"#).status, 200);
     let (owners, others) = (state(&ann), state(&bob));
     assert_eq!((&owners.json()["better_depth"], &others.json()["better_depth"]), (&json!(BETTER), &Value::Null));

@@ -7,6 +7,9 @@ use std::time::Duration;
 
 use serde_json::Value;
 
+/// The header of a body in JSON.
+pub const JSON: (&str, &str) = ("content-type", "application/json");
+
 /// A response.
 #[derive(Debug)]
 pub struct Response {
@@ -28,6 +31,24 @@ impl Response {
 
     pub fn json(&self) -> Value {
         serde_json::from_slice(&self.body).unwrap_or_else(|e| panic!("{e} in {:?}", String::from_utf8_lossy(&self.body)))
+    }
+
+    pub fn text(&self) -> String {
+        String::from_utf8(self.body.clone()).unwrap()
+    }
+
+    /// The response, which must have this status.
+    #[track_caller]
+    pub fn is(self, status: u16) -> Self {
+        assert_eq!(self.status, status, "{}", String::from_utf8_lossy(&self.body));
+        self
+    }
+
+    /// The response, which must have one of these statuses.
+    #[track_caller]
+    pub fn any_of(self, statuses: &[u16]) -> Self {
+        assert!(statuses.contains(&self.status), "{}: {}", self.status, String::from_utf8_lossy(&self.body));
+        self
     }
 
     /// The body as a problem of `status`.
@@ -56,6 +77,13 @@ impl Connection {
         stream.set_read_timeout(Some(Duration::from_mins(1))).unwrap();
         stream.set_nodelay(true).unwrap();
         Self { stream: BufReader::new(stream), host: addr.to_string() }
+    }
+
+    /// A connection on which a file was asked for.
+    pub fn asking(addr: SocketAddr, path: &str) -> Self {
+        let mut connection = Self::open(addr);
+        connection.send("GET", path, &[], &[]);
+        connection
     }
 
     pub fn raw(&mut self) -> &mut TcpStream {
@@ -140,6 +168,13 @@ pub fn request(addr: SocketAddr, method: &str, path: &str, headers: &[(&str, &st
 
 pub fn get(addr: SocketAddr, path: &str) -> Response {
     request(addr, "GET", path, &[], &[])
+}
+
+/// Sends bytes as they are on a connection of their own, and reads the answer.
+pub fn send_raw(addr: SocketAddr, bytes: &[u8]) -> Response {
+    let mut connection = Connection::open(addr);
+    connection.raw().write_all(bytes).unwrap();
+    connection.receive("POST").unwrap()
 }
 
 /// A multipart form of named parts.

@@ -81,11 +81,7 @@ fn requests_for_a_damaged_photo_report_the_damage() {
                 let path = format!("/v1/photos/{}/{ask}", made.id);
                 assert_eq!(get(made.server.addr, &path).problem(500)["type"], "urn:tmpi:problem:damaged", "{context}");
                 let state = made.server.state(&made.id);
-                assert_eq!(
-                    (&state["state"], &state["problem"]["type"]),
-                    (&"damaged".into(), &"urn:tmpi:problem:damaged".into()),
-                    "{context}"
-                );
+                assert_eq!([&state["state"], &state["problem"]["type"]], ["damaged", "urn:tmpi:problem:damaged"], "{context}");
                 assert!(state["problem"]["detail"].as_str().unwrap().contains("container is damaged"), "{state}");
                 // the photo's other files are not served either
                 get(made.server.addr, &format!("/v1/photos/{}/thumbnail", made.id)).problem(500);
@@ -125,8 +121,7 @@ fn a_body_that_is_cut_off_midway_is_an_error_for_its_client() {
     // the server keeps the file open
     let half = made.whole.len() / 2;
     std::fs::File::options().write(true).open(made.file("container")).unwrap().set_len(half as u64).unwrap();
-    let mut client = Connection::open(made.server.addr);
-    client.send("GET", &path, &[], &[]);
+    let mut client = Connection::asking(made.server.addr, &path);
     let (mut answer, patience) = (Vec::new(), Instant::now());
     let ended = client.raw().read_to_end(&mut answer);
     let came = answer.len();
@@ -159,8 +154,7 @@ fn a_second_server_on_a_folder_is_refused_and_removes_nothing() {
     let upload = server.data().join("blobs/incoming/upload");
     std::fs::write(&upload, b"a part").unwrap();
     let config = Config::new(([127, 0, 0, 1], 0).into(), server.data().to_owned());
-    let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
-    let refused = crate::rest_client::block_on(tmpi::server::Server::bind(config, Arc::new(pipeline()), renderer)).err().unwrap();
+    let refused = block_on(tmpi::server::Server::bind(config, Arc::new(pipeline()), drawn_by_cpu())).err().unwrap();
     let cause = std::error::Error::source(&refused).unwrap().to_string();
     assert!(cause.contains("another process"), "{refused}: {cause}");
     assert!(upload.exists());

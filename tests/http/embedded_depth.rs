@@ -1,10 +1,9 @@
 //! Photos with depth: in their file, in the three formats of phones, or as a map in the form.
 
-use std::io::Cursor;
-
 use image::{DynamicImage, GrayImage, ImageFormat, Luma};
 use tmpi_core::{Class, Scene, TileFrame};
 use tmpi_pipeline::depth::{DepthKind, from_map};
+use tmpi_testing::pictures::encoded;
 
 use crate::prelude::*;
 
@@ -120,29 +119,22 @@ fn depth_in_the_file_is_used_unless_it_is_off() {
 fn a_map_in_the_form_is_used_in_every_format() {
     let server = Running::open();
     let grey = |w, h| DynamicImage::from(GrayImage::from_fn(w, h, |x, _| Luma([if x < w / 2 { 64 } else { 191 }])));
-    let file = |picture: DynamicImage, format| {
-        let mut out = Cursor::new(Vec::new());
-        picture.write_to(&mut out, format).unwrap();
-        out.into_inner()
-    };
     let maps = [
         ("16 bits", depth_map(), false),
-        ("8 bits", file(grey(80, 60), ImageFormat::Png), false),
-        ("in colour", file(grey(80, 60).into_rgb8().into(), ImageFormat::Png), false),
-        ("a JPEG", file(grey(80, 60), ImageFormat::Jpeg), false),
-        ("a JPEG in colour", file(grey(80, 60).into_rgb8().into(), ImageFormat::Jpeg), false),
-        ("smaller", file(grey(40, 30), ImageFormat::Png), false),
-        ("of another shape", file(grey(60, 60), ImageFormat::Png), true),
+        ("8 bits", encoded(grey(80, 60), ImageFormat::Png), false),
+        ("in colour", encoded(grey(80, 60).into_rgb8(), ImageFormat::Png), false),
+        ("a JPEG", encoded(grey(80, 60), ImageFormat::Jpeg), false),
+        ("a JPEG in colour", encoded(grey(80, 60).into_rgb8(), ImageFormat::Jpeg), false),
+        ("smaller", encoded(grey(40, 30), ImageFormat::Png), false),
+        ("of another shape", encoded(grey(60, 60), ImageFormat::Png), true),
     ];
     for (name, map, stretched) in maps {
         let state = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &map)]).json();
         assert_eq!(state["depth_bytes"], map.len(), "{name}");
         let made = made(&server, state["id"].as_str().unwrap());
         let depth = &made.report["input"]["depth"];
-        assert_eq!(
-            (&made.report["depth_model"], &depth["source"], &depth["stretched"]),
-            (&"given".into(), &"given".into(), &stretched.into())
-        );
+        assert_eq!([&made.report["depth_model"], &depth["source"]], ["given"; 2], "{name}");
+        assert_eq!(depth["stretched"], stretched, "{name}");
         made.is_of([0.25, 0.75], name);
     }
     // the map in the form takes precedence over the file's own depth

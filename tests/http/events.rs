@@ -9,13 +9,13 @@ pub struct Events {
 }
 
 impl Events {
-    fn open(server: &Running, id: &str) -> Self {
-        Self::open_as(server, id, "", &[])
+    pub fn open(addr: SocketAddr, id: &str) -> Self {
+        Self::open_as(addr, id, "", &[])
     }
 
     /// With these headers and this query as credentials.
-    pub fn open_as(server: &Running, id: &str, query: &str, headers: &[(&str, &str)]) -> Self {
-        let mut connection = Connection::open(server.addr);
+    pub fn open_as(addr: SocketAddr, id: &str, query: &str, headers: &[(&str, &str)]) -> Self {
+        let mut connection = Connection::open(addr);
         connection.send("GET", &format!("/v1/photos/{id}/events{query}"), headers, &[]);
         let head = connection.head().unwrap();
         assert_eq!((head.status, head.header("content-type")), (200, Some("text/event-stream")));
@@ -42,7 +42,7 @@ fn queued_stages_done_and_the_end() {
     let _busy = server.upload(&jpeg(1));
     gate.wait_started(1);
     let id = server.upload(&jpeg(2));
-    let mut events = Events::open(&server, &id);
+    let mut events = Events::open(server.addr, &id);
     assert_eq!(events.next().unwrap(), ("queued".into(), serde_json::json!({"position": 0})));
     gate.open(2);
     let mut seen = Vec::new();
@@ -57,7 +57,7 @@ fn queued_stages_done_and_the_end() {
     let steps: Vec<u64> = stages[1..].iter().map(|(_, s)| s["step"].as_u64().unwrap()).collect();
     assert!(steps.is_sorted() && stages.iter().all(|(_, s)| s["step"].as_u64() <= s["steps"].as_u64()), "{steps:?}");
 
-    let mut late = Events::open(&server, &id);
+    let mut late = Events::open(server.addr, &id);
     assert_eq!(late.next().unwrap().0, "done");
     assert_eq!(late.next(), None, "the stream ends");
 }
@@ -68,7 +68,7 @@ fn waiting_clients_are_told_when_the_queue_moves() {
     let server = Running::with(Limits::default(), gate.clone());
     let ids: Vec<String> = (0..3).map(|seed| server.upload(&jpeg(seed))).collect();
     gate.wait_started(1);
-    let mut events = Events::open(&server, &ids[2]);
+    let mut events = Events::open(server.addr, &ids[2]);
     for position in [1, 0] {
         assert_eq!(events.next().unwrap(), ("queued".into(), serde_json::json!({"position": position})));
         gate.open(1);
@@ -85,7 +85,7 @@ fn late_listeners_get_the_last_stage_first() {
     let id = server.upload(&jpeg(1));
     gate.wait_started(1);
     server.wait(&id, "working");
-    let mut events = Events::open(&server, &id);
+    let mut events = Events::open(server.addr, &id);
     let (name, stage) = events.next().unwrap();
     assert_eq!((name.as_str(), stage["stage"].as_str()), ("stage", Some("photo")));
     assert_eq!(server.state(&id)["progress"]["stage"], "photo");
@@ -98,7 +98,7 @@ fn late_listeners_get_the_last_stage_first() {
 fn failures_and_unknown_photos() {
     let server = Running::open();
     let failed = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]).json();
-    let mut events = Events::open(&server, failed["id"].as_str().unwrap());
+    let mut events = Events::open(server.addr, failed["id"].as_str().unwrap());
     let last = std::iter::from_fn(|| events.next()).last().unwrap();
     assert_eq!((last.0.as_str(), last.1["status"].as_u64()), ("failed", Some(422)));
     get(server.addr, "/v1/photos/00000000000000000000000000000000/events").problem(404);
@@ -110,7 +110,7 @@ fn idle_streams_get_comments_and_a_stop_ends_them() {
     let mut server = Running::with(limits, Gate::new(0));
     let _busy = server.upload(&jpeg(1));
     let id = server.upload(&jpeg(2));
-    let mut events = Events::open(&server, &id);
+    let mut events = Events::open(server.addr, &id);
     assert_eq!(events.next().unwrap().0, "queued");
     assert_eq!(events.next().unwrap(), (String::new(), Value::Null), "a comment");
     assert_eq!(events.next().unwrap(), (String::new(), Value::Null), "and another, as nothing happens");

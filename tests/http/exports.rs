@@ -10,9 +10,8 @@ fn order(addr: SocketAddr, photo: &str, parameters: &str) -> Response {
 }
 
 /// Orders a file and waits for it; returns its state.
-fn written(addr: SocketAddr, photo: &str, parameters: &str) -> Value {
-    let ordered = order(addr, photo, parameters);
-    assert!(matches!(ordered.status, 200 | 202), "{}", String::from_utf8_lossy(&ordered.body));
+pub fn written(addr: SocketAddr, photo: &str, parameters: &str) -> Value {
+    let ordered = order(addr, photo, parameters).any_of(&[200, 202]);
     ended(addr, ordered.header("location").unwrap(), "done")
 }
 
@@ -50,13 +49,12 @@ fn a_file_is_written_once_for_all_callers_and_survives_a_restart() {
     let location = first.header("location").unwrap().to_owned();
     let state = ended(server.addr, &location, "done");
     assert_eq!((&state["parameters"]["format"], &state["parameters"]["shape"]), (&"glb".into(), &"relief".into()));
-    let object = [("content-type", "application/json")];
-    let again = request(server.addr, "POST", &address, &object, br#"{"shape": "relief", "format": "GLB"}"#);
+    let again = request(server.addr, "POST", &address, &[JSON], br#"{"shape": "relief", "format": "GLB"}"#);
     assert_eq!((again.status, again.header("location")), (200, Some(location.as_str())), "the same, said otherwise");
     assert_ne!(written(server.addr, &photo, "format=glb&shape=metric")["key"], state["key"]);
     // counters may lag behind the state
     for line in ["{class=\"export\",outcome=\"done\"} 2", "{class=\"interactive\",outcome=\"done\"} 1"] {
-        let counted = || String::from_utf8(get(server.addr, "/metrics").body).unwrap().contains(&format!("tmpi_jobs_total{line}"));
+        let counted = || get(server.addr, "/metrics").text().contains(&format!("tmpi_jobs_total{line}"));
         wait_until(line, counted);
     }
 
@@ -90,8 +88,8 @@ fn wrong_orders_are_refused_before_they_are_queued() {
     }
     let address = format!("/v1/photos/{photo}/exports");
     request(server.addr, "POST", &address, &[("content-type", "image/jpeg")], b"a picture").problem(415);
-    request(server.addr, "POST", &address, &[("content-type", "application/json")], &vec![b' '; 5000]).problem(413);
-    request(server.addr, "POST", &address, &[("content-type", "application/json")], b"[]").problem(400);
+    request(server.addr, "POST", &address, &[JSON], &vec![b' '; 5000]).problem(413);
+    request(server.addr, "POST", &address, &[JSON], b"[]").problem(400);
     get(server.addr, &format!("{address}/0123456789abcdef")).problem(404);
     let server = Running::with(Limits::default(), Gate::new(0));
     let early = order(server.addr, &server.upload(&jpeg(1)), "format=glb");
@@ -103,8 +101,7 @@ fn files_are_deleted_with_their_photo_and_when_it_is_made_again() {
     let (server, photo) = start(Limits::default());
     let made = |parameters| written(server.addr, &photo, parameters)["links"]["self"].as_str().unwrap().to_owned();
     let before = made("format=glb");
-    let again = request(server.addr, "POST", &format!("/v1/photos/{photo}/remake?class=batch"), &[("prefer", "wait=20")], &[]);
-    assert_eq!(again.status, 200);
+    request(server.addr, "POST", &format!("/v1/photos/{photo}/remake?class=batch"), &[("prefer", "wait=20")], &[]).is(200);
     get(server.addr, &before).problem(404);
     let after = made("format=glb");
     assert_ne!(before, after);
@@ -178,7 +175,7 @@ fn callers_who_see_a_photo_may_order_files_and_its_owner_may_cancel_them() {
     wait_until("it is written", || ask("GET", &location, Some(&ann)).json()["state"] == "done");
     ask("GET", &location, Some(&bob)).problem(404);
     ask("GET", &format!("{location}/file"), None).problem(404);
-    let shown = [HOST, ("authorization", ann.as_str()), ("content-type", "application/json")];
+    let shown = [HOST, ("authorization", ann.as_str()), JSON];
     assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{photo}"), &shown, br#"{"visibility": "link"}"#).status, 200);
     assert_eq!(ask("POST", &address, Some(&bob)).status, 200);
     assert_eq!(ask("GET", &format!("{location}/file"), None).status, 200);
@@ -192,7 +189,7 @@ fn a_batch_upload_waits_behind_others() {
     let server = Running::with(Limits { drain: Duration::from_millis(100), ..Limits::default() }, gate.clone());
     let busy = server.upload(&jpeg(1));
     gate.wait_started(1);
-    let batch = post_form(server.addr, &[], &[("photo", &jpeg(2)), ("class", b"batch")]).json()["id"].as_str().unwrap().to_owned();
+    let batch = id(&post_form(server.addr, &[], &[("photo", &jpeg(2)), ("class", b"batch")]).json());
     let next = server.upload(&jpeg(3));
     let wrong = post_form(server.addr, &[], &[("photo", &jpeg(4)), ("class", b"export")]);
     assert_eq!(wrong.problem(400)["field"], "class");
@@ -207,8 +204,9 @@ fn a_batch_upload_waits_behind_others() {
 
 #[cfg(target_os = "linux")]
 mod processes {
+    use rustix::process::Signal;
+
     use super::*;
-    use crate::client::Connection;
     use crate::process::{Process, heavy, large, upload, upload_with};
 
     /// A server with a finished photo, whose writer process has already written a page.
@@ -221,8 +219,7 @@ mod processes {
     }
 
     fn working(addr: SocketAddr, photo: &str, parameters: &str) -> String {
-        let ordered = order(addr, photo, parameters);
-        assert_eq!(ordered.status, 202, "{}", String::from_utf8_lossy(&ordered.body));
+        let ordered = order(addr, photo, parameters).is(202);
         let location = ordered.header("location").unwrap().to_owned();
         ended(addr, &location, "working");
         location
@@ -271,7 +268,7 @@ mod processes {
         // little more than it has now: as if the file took more memory than estimated
         writer.bound_data(writer.figure("status", "VmData:", 1024).unwrap() + (24 << 20));
         let zip = working(server.addr, &photo, "format=zip");
-        writer.signal(libc::SIGCONT);
+        writer.signal(Signal::CONT);
         wait_until("the limit has ended it", || writer.has_ended());
         // the server goes on, and another process writes the file
         ended(server.addr, &zip, "done");
@@ -301,14 +298,12 @@ mod processes {
         let dir = tempfile::tempdir().unwrap();
         let (server, photo) = with_writer(dir.path(), &[], &heavy(4));
         let maker = server.hold();
-        let mut client = Connection::open(server.addr);
-        client.send("GET", &format!("/v1/photos/{photo}/export?format=zip"), &[], &[]);
-        let busy = || String::from_utf8(get(server.addr, "/metrics").body).unwrap();
-        let held = |text: &str| text.lines().find_map(|l| l.strip_prefix("tmpi_job_memory_bytes ")?.parse::<f64>().ok()).unwrap_or(0.0);
-        wait_until("the export runs", || held(&busy()) > 0.0);
+        let client = Connection::asking(server.addr, &format!("/v1/photos/{photo}/export?format=zip"));
+        let held = || figure(server.addr, "tmpi_job_memory_bytes");
+        wait_until("the export runs", || held() > 0);
         drop(client);
         wait_until("its process ends with the client", || maker.has_ended());
-        wait_until("its memory is free", || held(&busy()) == 0.0);
+        wait_until("its memory is free", || held() == 0);
         let whole = get(server.addr, &format!("/v1/photos/{photo}/export?format=zip"));
         assert_eq!((whole.status, &whole.body[..4]), (200, b"PK\x03\x04".as_slice()));
         let state = written(server.addr, &photo, "format=zip");

@@ -17,24 +17,18 @@ fn start(limits: Limits, photos: u8) -> (Running, Vec<String>, Arc<SlowDrawing>)
     (server, photos, drawing)
 }
 
-fn ask(server: &Running, path: &str) -> Connection {
-    let mut client = Connection::open(server.addr);
-    client.send("GET", path, &[], &[]);
-    client
-}
-
 #[test]
 fn films_do_not_delay_views_and_views_do_not_delay_levels_or_files() {
     let (server, photos, drawing) = start(Limits { views: 1, ..Limits::default() }, 1);
     let photo = &photos[0];
-    let _film = ask(&server, &format!("{photo}/view?path=orbit&frames=2&w={HELD}"));
+    let _film = Connection::asking(server.addr, &format!("{photo}/view?path=orbit&frames=2&w={HELD}"));
     wait_until("the film is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
     assert_eq!(get(server.addr, &format!("{photo}/view?w=40")).status, 200);
-    let _view = ask(&server, &format!("{photo}/view?w={HELD}"));
+    let _view = Connection::asking(server.addr, &format!("{photo}/view?w={HELD}"));
     wait_until("the view is drawn", || drawing.held.load(Ordering::SeqCst) == 2);
     assert_eq!(get(server.addr, &format!("{photo}/atlas?level=1")).status, 200);
     // waiting views do not delay these
-    let _more: Vec<_> = (0..8).map(|n| ask(&server, &format!("{photo}/view?ty=0.0{n}&w={HELD}"))).collect();
+    let _more: Vec<_> = (0..8).map(|n| Connection::asking(server.addr, &format!("{photo}/view?ty=0.0{n}&w={HELD}"))).collect();
     wait_until("they wait", || server.metric("tmpi_views_waiting") >= 8);
     for path in ["/healthz", "/readyz", "/metrics"] {
         assert_eq!(get(server.addr, path).status, 200, "{path}");
@@ -45,7 +39,7 @@ fn films_do_not_delay_views_and_views_do_not_delay_levels_or_files() {
 #[test]
 fn a_film_ends_with_its_client() {
     let (server, photos, drawing) = start(Limits::default(), 1);
-    let film = ask(&server, &format!("{}/view?path=orbit&frames=240&w={HELD}", photos[0]));
+    let film = Connection::asking(server.addr, &format!("{}/view?path=orbit&frames=240&w={HELD}", photos[0]));
     wait_until("it is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
     let before = drawing.begun.load(Ordering::SeqCst);
     drop(film);
@@ -61,7 +55,7 @@ fn waiting_requests_hold_no_scene_and_memory_bounds_parallel_drawing() {
     const PHOTOS: u8 = 6;
     let limits = Limits { views: 8, work_memory: 2 << 20, cache: Caches { scenes: 0, ..Caches::default() }, ..Limits::default() };
     let (server, photos, drawing) = start(limits, PHOTOS);
-    let clients: Vec<_> = photos.iter().map(|photo| ask(&server, &format!("{photo}/view?w={HELD}"))).collect();
+    let clients: Vec<_> = photos.iter().map(|photo| Connection::asking(server.addr, &format!("{photo}/view?w={HELD}"))).collect();
     // each view reserves one unit of memory, of which a scene needs less
     wait_until("two are drawn", || drawing.held.load(Ordering::SeqCst) == 2);
     wait_until("the others wait", || server.metric("tmpi_views_waiting") == u64::from(PHOTOS - 2));
@@ -77,9 +71,9 @@ fn waiting_requests_hold_no_scene_and_memory_bounds_parallel_drawing() {
 fn a_view_is_drawn_once_for_all_clients_even_if_the_first_leaves() {
     let (server, photos, drawing) = start(Limits::default(), 1);
     let path = format!("{}/view?w={HELD}", photos[0]);
-    let first = ask(&server, &path);
+    let first = Connection::asking(server.addr, &path);
     wait_until("it is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
-    let others: Vec<_> = (0..6).map(|_| ask(&server, &path)).collect();
+    let others: Vec<_> = (0..6).map(|_| Connection::asking(server.addr, &path)).collect();
     wait_until("all ask", || server.metric("tmpi_requests_in_flight") >= 8);
     drop(first);
     wait_until("one is gone", || server.metric("tmpi_requests_in_flight") <= 7);
@@ -94,9 +88,9 @@ fn a_view_is_drawn_once_for_all_clients_even_if_the_first_leaves() {
 fn a_full_lane_answers_503() {
     let (server, photos, drawing) = start(Limits { views: 1, views_waiting: 1, ..Limits::default() }, 1);
     let view = |n: u32| format!("{}/view?tx=0.0{n}&w={HELD}", photos[0]);
-    let _drawn = ask(&server, &view(1));
+    let _drawn = Connection::asking(server.addr, &view(1));
     wait_until("one is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
-    let _waits = ask(&server, &view(2));
+    let _waits = Connection::asking(server.addr, &view(2));
     wait_until("one waits", || server.metric("tmpi_views_waiting") == 1);
     let refused = get(server.addr, &view(3));
     assert!(refused.header("retry-after").is_some());
@@ -144,11 +138,11 @@ fn event_streams_have_their_own_places() {
     let server = Running::with(Limits { streams: 1, ..Limits::default() }, Gate::new(0));
     let _busy = server.upload(&jpeg(1));
     let path = format!("/v1/photos/{}/events", server.upload(&jpeg(2)));
-    let mut first = ask(&server, &path);
+    let mut first = Connection::asking(server.addr, &path);
     assert_eq!(first.head().unwrap().status, 200);
     get(server.addr, &path).problem(503);
     drop(first);
-    wait_until("the place is free", || ask(&server, &path).head().unwrap().status == 200);
+    wait_until("the place is free", || Connection::asking(server.addr, &path).head().unwrap().status == 200);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use serde_json::Value;
 use tmpi::live::{RoomLimits, Rooms};
@@ -58,7 +58,7 @@ pub fn usual(data: &Path) -> Config {
 /// A running server, often with a data folder of its own.
 pub struct Running {
     pub addr: SocketAddr,
-    config: Option<Config>,
+    config: Config,
     dir: Option<tempfile::TempDir>,
     stop: Option<tokio::sync::oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
@@ -92,11 +92,6 @@ impl Running {
         Self::owning(|data| Self::launch(change(usual(data)), maker, renderer, with_rooms))
     }
 
-    /// A server in an existing data folder.
-    pub fn start(data: &Path, limits: Limits, maker: Arc<dyn Maker>) -> Self {
-        Self::launch(Config { limits, ..usual(data) }, maker, drawn_by_cpu(), with_rooms)
-    }
-
     /// Gives a server a data folder of its own.
     pub fn owning(start: impl FnOnce(&Path) -> Self) -> Self {
         let dir = tempfile::tempdir().unwrap();
@@ -105,15 +100,27 @@ impl Running {
         server
     }
 
-    /// A server that `finish` completes.
+    /// A server that `finish` completes, on a thread of its own.
     pub fn launch<F>(config: Config, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>, finish: F) -> Self
     where
         F: FnOnce(Server) -> Server + Send + 'static,
     {
+        count_panics();
         let kept = config.clone();
-        let mut server = Self::of(async move { finish(Server::bind(config, maker, renderer).await.unwrap()) });
-        server.config = Some(kept);
-        server
+        let (stop, stopped) = tokio::sync::oneshot::channel();
+        let (tell, told) = std::sync::mpsc::channel();
+        let thread = std::thread::spawn(move || {
+            // few blocking threads, so that tests notice code that holds one while it waits
+            let runtime =
+                tokio::runtime::Builder::new_multi_thread().worker_threads(2).max_blocking_threads(24).enable_all().build().unwrap();
+            runtime.block_on(async {
+                let server = finish(Server::bind(config, maker, renderer).await.unwrap());
+                tell.send(server.addr()).unwrap();
+                server.run(async { drop(stopped.await) }).await;
+            });
+        });
+        let addr = told.recv().expect("the server starts");
+        Self { addr, config: kept, dir: None, stop: Some(stop), thread: Some(thread) }
     }
 
     /// Stops it and starts one in its data folder with changed settings.
@@ -131,7 +138,7 @@ impl Running {
     where
         F: FnOnce(Server) -> Server + Send + 'static,
     {
-        let (dir, config) = (self.dir.take(), self.config.take().unwrap());
+        let (dir, config) = (self.dir.take(), self.config.clone());
         self.stop();
         let mut server = Self::launch(change(config), maker, drawn_by_cpu(), finish);
         server.dir = dir;
@@ -148,25 +155,6 @@ impl Running {
         self.dir.as_ref().unwrap().path()
     }
 
-    /// Runs a server on a thread of its own.
-    pub fn of(bound: impl Future<Output = Server> + Send + 'static) -> Self {
-        count_panics();
-        let (stop, stopped) = tokio::sync::oneshot::channel();
-        let (tell, told) = std::sync::mpsc::channel();
-        let thread = std::thread::spawn(move || {
-            // few blocking threads, so that tests notice code that holds one while it waits
-            let runtime =
-                tokio::runtime::Builder::new_multi_thread().worker_threads(2).max_blocking_threads(24).enable_all().build().unwrap();
-            runtime.block_on(async {
-                let server = bound.await;
-                tell.send(server.addr()).unwrap();
-                server.run(async { drop(stopped.await) }).await;
-            });
-        });
-        let addr = told.recv().expect("the server starts");
-        Self { addr, config: None, dir: None, stop: Some(stop), thread: Some(thread) }
-    }
-
     /// Asks it to stop.
     pub fn signal(&mut self) {
         self.stop.take();
@@ -175,7 +163,7 @@ impl Running {
     /// Stops it and waits for its end.
     pub fn stop(mut self) {
         self.signal();
-        self.thread.take().unwrap().join().expect("the server ends without a panic");
+        self.ended();
     }
 
     /// Waits for its end without stopping it.
@@ -185,9 +173,7 @@ impl Running {
 
     /// Uploads a picture and returns its id.
     pub fn upload(&self, photo: &[u8]) -> String {
-        let response = client::request(self.addr, "POST", "/v1/photos", &[], photo);
-        assert_eq!(response.status, 202, "{}", String::from_utf8_lossy(&response.body));
-        id(&response.json())
+        id(&client::request(self.addr, "POST", "/v1/photos", &[], photo).is(202).json())
     }
 
     /// Uploads a picture and waits until it is made; returns its id.
@@ -231,6 +217,15 @@ impl Drop for Running {
     }
 }
 
+pub fn block_on<T>(work: impl Future<Output = T>) -> T {
+    tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(work)
+}
+
+/// Seconds since 1970.
+pub fn seconds_now() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs()
+}
+
 /// Paths of a photo's blobs in a data folder whose part begins with `part`; of all photos if `id` is empty.
 pub fn contents(data: &Path, id: &str, part: &str) -> Vec<PathBuf> {
     let is_wanted = |name: &str| name.starts_with(id) && name.get(32..).is_some_and(|rest| rest.starts_with(&format!("-{part}")));
@@ -267,7 +262,7 @@ pub fn id(state: &Value) -> String {
 
 /// A value of a server's metrics; 0 if it is missing.
 pub fn figure(addr: SocketAddr, name: &str) -> u64 {
-    let text = String::from_utf8(client::get(addr, "/metrics").body).unwrap();
+    let text = client::get(addr, "/metrics").text();
     let value = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse::<f64>().ok());
     value.unwrap_or_default() as u64
 }
@@ -312,13 +307,17 @@ pub fn noise() -> Vec<u8> {
     tmpi_core::container::encode_jpeg(640, 480, photo.rgb.as_flattened(), 100).unwrap()
 }
 
-/// A depth map with damaged pixels and intact headers.
+/// A depth map with damaged pixels.
 pub fn spoilt_map() -> Vec<u8> {
-    let mut map = depth_map();
+    spoilt(depth_map())
+}
+
+/// A PNG with damaged pixels and intact headers.
+pub fn spoilt(mut png: Vec<u8>) -> Vec<u8> {
     // a wrong zlib header
-    let at = map.windows(4).position(|name| name == b"IDAT").unwrap() + 4;
-    map[at] ^= 0xff;
-    map
+    let at = png.windows(4).position(|name| name == b"IDAT").unwrap() + 4;
+    png[at] ^= 0xff;
+    png
 }
 
 /// A depth map with two levels.

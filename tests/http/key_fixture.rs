@@ -5,9 +5,10 @@ use std::path::Path;
 pub use tmpi_library::Scope;
 use tmpi_library::{Config, Grant, Key, Library, LibraryError, Subject};
 
+use crate::fixture::block_on;
+
 fn with<T>(data: &Path, work: impl AsyncFnOnce(&Library) -> Result<T, LibraryError>) -> T {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
+    block_on(async {
         let library = Box::pin(Library::open(Config::of_folder(data))).await.unwrap();
         let done = work(&library).await.unwrap();
         library.close().await;

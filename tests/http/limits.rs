@@ -16,13 +16,8 @@ fn the_body_at_its_limit_and_one_byte_over() {
     assert!(request(server.addr, "POST", "/v1/photos", &[], &over).problem(413)["detail"].as_str().unwrap().contains("limit"));
     post_form(server.addr, &[], &[("photo", &photo)]).problem(413);
     // without `Content-Length` the server has to count
-    let mut connection = Connection::open(server.addr);
-    let raw = connection.raw();
-    raw.write_all(b"POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: chunked\r\n\r\n").unwrap();
-    raw.write_all(format!("{:x}\r\n", over.len()).as_bytes()).unwrap();
-    raw.write_all(&over).unwrap();
-    raw.write_all(b"\r\n0\r\n\r\n").unwrap();
-    connection.receive("POST").unwrap().problem(413);
+    let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: chunked\r\n\r\n{:x}\r\n", over.len());
+    send_raw(server.addr, &[head.as_bytes(), &over, b"\r\n0\r\n\r\n"].concat()).problem(413);
 }
 
 #[test]
@@ -39,8 +34,7 @@ fn the_photo_at_its_limits_and_one_over() {
     let (pixels, side) = (80 * 60, 80);
     let with = |photo| Running::with(Limits::default(), Arc::new(way_within(photo)));
     let at = with(photo::Limits { pixels, side, ..photo::Limits::default() });
-    let id = at.upload(&jpeg(1));
-    at.wait(&id, "done");
+    at.make(&jpeg(1));
     for limits in [photo::Limits { pixels: pixels - 1, ..Default::default() }, photo::Limits { side: side - 1, ..Default::default() }] {
         let over = with(limits);
         assert_eq!(request(over.addr, "POST", "/v1/photos", &[], &jpeg(1)).problem(413)["field"], "photo");
@@ -105,11 +99,9 @@ fn a_full_disk_drops_what_can_be_made_again() {
 fn a_body_that_stops_is_408_and_leaves_nothing() {
     let server = Running::with(Limits { body_read: Duration::from_millis(200), ..Limits::default() }, Arc::new(pipeline()));
     for content_type in ["image/jpeg", "multipart/form-data; boundary=x"] {
-        let mut stuck = Connection::open(server.addr);
         let head =
             format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: 1000\r\n\r\n--x\r\n");
-        stuck.raw().write_all(head.as_bytes()).unwrap();
-        stuck.receive("POST").unwrap().problem(408);
+        send_raw(server.addr, head.as_bytes()).problem(408);
     }
     wait_until("nothing is left", || incoming(server.data()) == 0);
 }
@@ -120,8 +112,7 @@ fn a_request_that_takes_too_long_is_ended() {
     let gate = Gate::new(0);
     let server = Running::with(limits, gate.clone());
     // `Prefer: wait` ends before the request's timeout
-    let waited = request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=60")], &jpeg(1));
-    assert_eq!(waited.status, 202);
+    request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=60")], &jpeg(1)).is(202);
     gate.open(1);
 }
 
@@ -130,11 +121,10 @@ fn connections_over_the_limit_wait_their_turn() {
     let server = Running::with(Limits { connections: 2, ..Limits::default() }, Arc::new(pipeline()));
     let (mut a, mut b) = (Connection::open(server.addr), Connection::open(server.addr));
     assert_eq!((a.request("GET", "/healthz", &[], &[]).status, b.request("GET", "/healthz", &[], &[]).status), (200, 200));
-    let mut third = Connection::open(server.addr);
-    third.send("GET", "/healthz", &[], &[]);
+    let mut third = Connection::asking(server.addr, "/healthz");
     // meanwhile the server serves the open connections
     for _ in 0..100 {
-        let metrics = String::from_utf8(b.request("GET", "/metrics", &[], &[]).body).unwrap();
+        let metrics = b.request("GET", "/metrics", &[], &[]).text();
         assert!(metrics.lines().any(|l| l == "tmpi_connections 2"), "{metrics}");
     }
     third.raw().set_nonblocking(true).unwrap();
@@ -206,24 +196,13 @@ fn a_photo_that_keeps_crashing_its_process_fails() {
     server.make(&jpeg(1));
 }
 
-/// Fails with each of `faults` in turn, then makes photos.
-fn failing(faults: Vec<Fault>) -> Arc<dyn Maker> {
-    let faults = std::sync::Mutex::new(faults.into_iter());
-    Arc::new(Does(move |photo: &[u8], sink: &dyn Sink| match faults.lock().unwrap().next() {
-        Some(fault) => Err(fault),
-        None => Maker::make(&pipeline(), photo, None, &Options::default(), sink),
-    }))
-}
-
 #[test]
 fn a_server_fault_is_reported_and_the_photo_waits_until_it_is_fixed() {
     let faults = (0..3).map(|_| Fault::Server("no library".into())).collect();
     let server = Running::with(Limits { attempts: 1, ..Limits::default() }, failing(faults));
     let id = server.upload(&jpeg(1));
     wait_until("the state has the reason", || server.state(&id)["waits_for"] == "no library");
-    let ready = get(server.addr, "/readyz");
-    assert_eq!(ready.status, 503);
-    assert_eq!(ready.json()["detail"], "no library");
+    assert_eq!(get(server.addr, "/readyz").is(503).json()["detail"], "no library");
     server.wait(&id, "done");
     assert_eq!(get(server.addr, "/readyz").status, 200);
 }
@@ -253,15 +232,13 @@ fn a_body_on_a_route_that_reads_none_is_refused_and_the_answer_names_the_query()
         [at("links"), at("manage"), at("remake"), "/v1/owner".to_owned(), "/v1/network".to_owned(), "/v1/live/attic/token".to_owned()]
     {
         for body in [&br#"{"seconds": 60}"#[..], b"{}", b" "] {
-            let refused = request(server.addr, "POST", &path, &[("content-type", "application/json")], body).problem(400);
+            let refused = request(server.addr, "POST", &path, &[JSON], body).problem(400);
             assert!(refused["detail"].as_str().unwrap().contains("query"), "{path}: {refused}");
         }
         // chunked, without a length in the header
         let chunked = |body: &str| {
-            let mut connection = Connection::open(server.addr);
             let head = format!("POST {path} HTTP/1.1\r\nhost: {}\r\ntransfer-encoding: chunked\r\n\r\n", server.addr);
-            connection.raw().write_all((head + body).as_bytes()).unwrap();
-            connection.receive("POST").unwrap()
+            send_raw(server.addr, (head + body).as_bytes())
         };
         chunked("2\r\n{}\r\n0\r\n\r\n").problem(400);
         assert!(chunked("0\r\n\r\n").status < 300, "{path}");

@@ -13,10 +13,8 @@ fn call(server: &Running, path: &str, headers: &[(&str, &str)]) -> Response {
 }
 
 fn rename(server: &Running, id: &str, title: &str) {
-    let headers = [("content-type", "application/json")];
     let body = json!({ "title": title, "poster": { "x": 1 } }).to_string();
-    let answer = request(server.addr, "PATCH", &format!("/v1/photos/{id}"), &headers, body.as_bytes());
-    assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
+    request(server.addr, "PATCH", &format!("/v1/photos/{id}"), &[JSON], body.as_bytes()).is(200);
 }
 
 fn unescaped(text: &str) -> String {
@@ -52,7 +50,7 @@ fn a_link_has_a_title_and_a_picture() {
     rename(&server, &id, "By the sea");
     let base = format!("http://{}", server.addr);
     let answer = get(server.addr, &format!("/view/{id}"));
-    let page = String::from_utf8(answer.body.clone()).unwrap();
+    let page = answer.text();
     assert!(page.contains("<title>By the sea – tmpi</title>"), "{page}");
     let tags = tags(&page);
     let tag = |name: &str| tags.get(name).map(String::as_str);
@@ -71,7 +69,7 @@ fn a_link_has_a_title_and_a_picture() {
     assert_eq!(call(&server, &format!("/view/{id}"), &[("if-none-match", &etag)]).status, 304);
     rename(&server, &id, "By the lake");
     assert_eq!(call(&server, &format!("/view/{id}"), &[("if-none-match", &etag)]).status, 200);
-    let none = String::from_utf8(get(server.addr, "/view/0123456789abcdef0123456789abcdef").body).unwrap();
+    let none = get(server.addr, "/view/0123456789abcdef0123456789abcdef").text();
     assert!(none.contains("<title>3D photo – tmpi</title>") && !none.contains("og:"), "the page of an unknown photo has no tags");
 }
 
@@ -80,7 +78,7 @@ fn an_unfinished_photo_has_no_preview_picture() {
     let gate = Gate::new(0);
     let server = Running::with(Limits::default(), gate.clone());
     let id = server.upload(&jpeg(1));
-    let tags = tags(&String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap());
+    let tags = tags(&get(server.addr, &format!("/view/{id}")).text());
     assert_eq!((tags["twitter:card"].as_str(), tags["og:title"].as_str(), tags.get("og:image")), ("summary", "3D photo", None));
     let answer = get(server.addr, &format!("/oembed?url=http://localhost/view/{id}")).json();
     assert_eq!((&answer["type"], answer.get("thumbnail_url")), (&"rich".into(), None));
@@ -91,7 +89,7 @@ fn an_unfinished_photo_has_no_preview_picture() {
 fn addresses_have_the_requested_host_and_the_proxy_scheme() {
     let (server, id) = start();
     let path = format!("/view/{id}");
-    let url = |headers: &[(&str, &str)]| tags(&String::from_utf8(call(&server, &path, headers).body).unwrap())["og:url"].clone();
+    let url = |headers: &[(&str, &str)]| tags(&call(&server, &path, headers).text())["og:url"].clone();
     assert_eq!(url(&[("host", "localhost:99")]), format!("http://localhost:99/view/{id}"));
     assert_eq!(url(&[("host", "photos.example"), ("x-forwarded-proto", "https")]), format!("https://photos.example/view/{id}"));
     assert_eq!(url(&[("host", "localhost"), ("x-forwarded-host", "evil.example")]), format!("http://localhost/view/{id}"));
@@ -101,9 +99,9 @@ fn addresses_have_the_requested_host_and_the_proxy_scheme() {
 #[test]
 fn titles_are_escaped() {
     let (server, id) = start();
-    let plain = String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap();
+    let plain = get(server.addr, &format!("/view/{id}")).text();
     rename(&server, &id, HOSTILE);
-    let page = String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap();
+    let page = get(server.addr, &format!("/view/{id}")).text();
     for tag in ["<script", "</title", "<meta", "<link", "</head"] {
         assert_eq!(page.matches(tag).count(), plain.matches(tag).count(), "{tag}");
     }
@@ -120,7 +118,7 @@ fn titles_are_escaped() {
 fn oembed_answers_a_frame() {
     let (server, id) = start();
     let base = format!("http://{}", server.addr);
-    let page = String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap();
+    let page = get(server.addr, &format!("/view/{id}")).text();
     let link = page.split("application/json+oembed\" href=\"").nth(1).unwrap().split('"').next().unwrap();
     let found = unescaped(link);
     let answer = get(server.addr, found.strip_prefix(&base).unwrap());
@@ -159,8 +157,7 @@ fn previews_of_a_page_opened_by_a_link_contain_the_link() {
     let stranger = |address: &str| ask(&server, "GET", address.strip_prefix(BASE).unwrap_or(address), &[], &[]);
     let links = ask(&server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", &ann)], &[]).json();
     let query = links["query"].as_str().unwrap();
-    let text = |answer: Response| String::from_utf8(answer.body).unwrap();
-    let page = text(stranger(links["page"].as_str().unwrap()));
+    let page = stranger(links["page"].as_str().unwrap()).text();
     let tags = tags(&page);
     assert_eq!(tags["og:url"], format!("{BASE}/view/{photo}?{query}"), "with the link, or a preview would lead to 404");
     let picture = stranger(&tags["og:image"]);
@@ -177,7 +174,7 @@ fn previews_of_a_page_opened_by_a_link_contain_the_link() {
     // without a valid link, neither tags nor oEmbed
     let forged = format!("{}{}", &query[..query.len() - 1], if query.ends_with('0') { '1' } else { '0' });
     for query in ["", &format!("?{forged}")] {
-        let page = text(stranger(&format!("/view/{photo}{query}")));
+        let page = stranger(&format!("/view/{photo}{query}")).text();
         assert!(!page.contains("og:") && !page.contains("signature"), "{page}");
         let url: String =
             form_urlencoded::Serializer::new(String::new()).append_pair("url", &format!("{BASE}/view/{photo}{query}")).finish();
@@ -185,7 +182,7 @@ fn previews_of_a_page_opened_by_a_link_contain_the_link() {
         assert!(stranger(&format!("/embed/{photo}{query}")).header("set-cookie").is_none());
     }
     // the owner's own page has tags without the link
-    let own = text(ask(&server, "GET", links["page"].as_str().unwrap(), &[("authorization", &ann)], &[]));
+    let own = ask(&server, "GET", links["page"].as_str().unwrap(), &[("authorization", &ann)], &[]).text();
     assert!(own.contains("og:image") && !own.contains("signature"));
 }
 

@@ -143,8 +143,8 @@ impl Publisher {
         self.try_publish(true, data).unwrap_or_else(|bye| panic!("{bye:?}"));
     }
 
-    /// Sends a frame as soon as there is credit; fails with the server's message if it disconnects.
-    pub fn try_publish(&mut self, key: bool, data: Vec<u8>) -> Result<(), Bye> {
+    /// Waits for credit; fails with the server's message if it disconnects.
+    fn wait_for_credit(&mut self) -> Result<(), Bye> {
         while self.credit == 0 {
             match self.client.next() {
                 Some(Kind::Credit(c)) => self.credit += c.frames,
@@ -152,15 +152,25 @@ impl Publisher {
                 other => panic!("{other:?}"),
             }
         }
-        self.credit -= 1;
-        self.frame(key, data);
         Ok(())
     }
 
-    /// Sends a frame without counting its credit.
-    pub fn frame(&mut self, key: bool, data: Vec<u8>) {
+    /// Sends a frame as soon as there is credit; fails with the server's message if it disconnects.
+    pub fn try_publish(&mut self, key: bool, data: Vec<u8>) -> Result<(), Bye> {
+        self.wait_for_credit()?;
+        self.credit -= 1;
         self.client.send(Kind::Video(Video { frame: self.number, time: 33_333 * self.number, key, layer: 0, data: data.into() }));
         self.number += 1;
+        Ok(())
+    }
+
+    /// Sends key frames, which `data` gives for their numbers, until the server disconnects; returns its message.
+    pub fn publish_until_refused(&mut self, data: impl Fn(u64) -> Vec<u8>) -> Bye {
+        loop {
+            if let Err(bye) = self.try_publish(true, data(self.number)) {
+                return bye;
+            }
+        }
     }
 }
 
@@ -308,8 +318,7 @@ fn groups_are_the_same_for_every_caller(addr: SocketAddr, epoch: u64, publisher:
     assert!(model.geometry().is_some());
     let (first, second) = (frames(&first), frames(&second));
     assert_eq!((second[0], second.len() >= 2), (first[first.len() - 1] + 1, true));
-    let newest = at("latest");
-    assert_eq!(newest.status, 307);
+    let newest = at("latest").is(307);
     assert!(newest.header("location").is_some_and(|l| l.starts_with(&format!("{epoch}-")) && l > format!("{epoch}-1").as_str()));
     // only one address for each group
     let wrong = ["1-0", "0-0", "one", "-", "E", "E-", "E-9", "E-00", "E--1", "E-0-1", "+E-0", "0E-0", "E-99999999999999999999"];
@@ -352,10 +361,7 @@ fn measured_depth_is_used_and_sound_is_forwarded_unchanged() {
     assert!(shown.iter().all(|d| (d - 0.25).abs() < 0.02), "{:?}", geometry.tiles[0].planes);
     // depth of a wrong frame, and depth that is too large
     let says = |mut publisher: Publisher, depth: Depth, words: &str| {
-        while publisher.credit == 0 {
-            let Some(Kind::Credit(c)) = publisher.client.next() else { panic!("credit comes") };
-            publisher.credit += c.frames;
-        }
+        publisher.wait_for_credit().unwrap();
         publisher.client.send(Kind::Depth(depth));
         let reason = publisher.client.bye();
         assert!(reason.contains(words), "{reason}");

@@ -1,7 +1,5 @@
 //! Tokens of rooms, and pages of other sites.
 
-use std::time::{SystemTime, UNIX_EPOCH};
-
 use tmpi::live::Grant::{Publish, Watch};
 use tmpi::live::room_token;
 use tmpi_core::live::schema::message::Kind;
@@ -36,7 +34,7 @@ fn strangers_need_a_token_and_pages_of_other_sites_are_refused() {
 #[test]
 fn a_socket_closes_when_its_token_expires() {
     let server = server();
-    let ends = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() + 3;
+    let ends = seconds_now() + 3;
     let token = |role| format!("Bearer {}", room_token(KEY, role, "attic", ends));
     let come = |path: &str, role| {
         let headers = [("host", "photos.example"), ("authorization", &token(role))];
@@ -84,10 +82,8 @@ fn pages_of_other_sites_watch_with_a_token_and_never_publish() {
     }
     assert_eq!(ask("OPTIONS", "/token", &preflight).header("access-control-allow-origin"), None);
     let refused = ask("GET", "", &[]);
-    assert_eq!(
-        (refused.problem(403)["type"].as_str(), refused.header("access-control-allow-origin")),
-        (Some("urn:tmpi:problem:token"), Some("*"))
-    );
+    assert_eq!(refused.problem(403)["type"], "urn:tmpi:problem:token");
+    assert_eq!(refused.header("access-control-allow-origin"), Some("*"));
     let bearer = format!("Bearer {watch}");
     let state = ask("GET", "", &[("authorization", &bearer)]);
     assert_eq!((state.status, state.json()["publishing"].as_bool(), state.json()["may_publish"].as_bool()), (200, Some(true), Some(false)));

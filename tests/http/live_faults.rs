@@ -48,14 +48,7 @@ fn geometry_resumes_after_a_panic_and_repeated_panics_end_the_room_with_a_reason
         }
     }
     let server = server_with(|_| rooms(u32::MAX));
-    let mut publisher = Publisher::new(server.addr, "attic");
-    let reason = loop {
-        match publisher.client.next().expect("the reason comes first") {
-            Kind::Credit(c) => (0..c.frames).for_each(|_| publisher.frame(true, frame(10))),
-            Kind::Bye(bye) => break bye.reason,
-            other => panic!("{other:?}"),
-        }
-    };
+    let reason = Publisher::new(server.addr, "attic").publish_until_refused(|_| frame(10)).reason;
     assert!(reason.contains("geometry failed"), "{reason}");
 }
 

@@ -16,19 +16,7 @@ fn hostile_publishers_are_disconnected_with_a_reason_and_the_room_goes_on() {
     let mut viewer = Client::watch(server.addr, "attic");
     let raw = || Client::at(server.addr, "/v1/live/cellar/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
     let with = |messages: Vec<Kind>| {
-        wait_until("the room is free", || {
-            let mut client = raw();
-            client.send(Kind::Hello(hello()));
-            matches!(client.next(), Some(Kind::Credit(_)))
-        });
-        let mut client = loop {
-            let mut client = raw();
-            client.send(Kind::Hello(hello()));
-            if matches!(client.next(), Some(Kind::Credit(_))) {
-                break client;
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        };
+        let mut client = Publisher::once_free(server.addr, "cellar").client;
         for m in messages {
             client.send(m);
         }
@@ -67,19 +55,7 @@ fn hostile_publishers_are_disconnected_with_a_reason_and_the_room_goes_on() {
     says(talker.bye(), "more CREDIT");
     // frames that are not pictures
     let mut broken = Publisher::new(server.addr, "garden");
-    let reason = loop {
-        match broken.client.next().unwrap() {
-            Kind::Credit(c) => {
-                for _ in 0..c.frames {
-                    broken.client.send(video(broken.number, true, vec![1, 2, 3]));
-                    broken.number += 1;
-                }
-            }
-            Kind::Bye(bye) => break bye.reason,
-            other => panic!("{other:?}"),
-        }
-    };
-    says(reason, "cannot be decoded");
+    says(broken.publish_until_refused(|_| vec![1, 2, 3]).reason, "cannot be decoded");
     assert!(broken.number < 40);
     // the other room is unaffected
     good.publish(frame(30));
@@ -147,12 +123,7 @@ fn publishers_with_too_large_frames_or_endless_size_changes_are_disconnected_for
         says(publisher.client.farewell(), "over ");
     }
     let mut turning = Publisher::once_free(server.addr, "attic");
-    let bye = loop {
-        let size = if turning.number.is_multiple_of(2) { SIZE } else { (SIZE.1, SIZE.0) };
-        if let Err(bye) = turning.try_publish(true, frame_of(size, 10)) {
-            break bye;
-        }
-    };
-    says(bye, "change their size");
+    let turned = |n: u64| if n.is_multiple_of(2) { SIZE } else { (SIZE.1, SIZE.0) };
+    says(turning.publish_until_refused(|n| frame_of(turned(n), 10)), "change their size");
     assert!(turning.number > 9, "a camera may be turned a few times");
 }

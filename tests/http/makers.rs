@@ -121,6 +121,15 @@ where
     }
 }
 
+/// Fails with each of `faults` in turn, then makes photos.
+pub fn failing(faults: Vec<Fault>) -> Arc<dyn Maker> {
+    let faults = Mutex::new(faults.into_iter());
+    Arc::new(Does(move |photo: &[u8], sink: &dyn Sink| match faults.lock().unwrap().next() {
+        Some(fault) => Err(fault),
+        None => Maker::make(&pipeline(), photo, None, &Options::default(), sink),
+    }))
+}
+
 /// Returns plain views at once; those that are [`SlowDrawing::HELD`] pixels wide wait until it is opened.
 #[derive(Default)]
 pub struct SlowDrawing {

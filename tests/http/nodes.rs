@@ -4,8 +4,11 @@ use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicUsize;
 
+#[cfg(target_os = "linux")]
+use rustix::process::Signal;
 use tmpi_testing::Engine;
 
+use crate::events::Events;
 use crate::prelude::*;
 use crate::process::{Process, large, upload};
 
@@ -37,41 +40,25 @@ impl Shared {
     }
 }
 
-/// The events of a photo until its stream ends.
-fn events(addr: SocketAddr, id: &str) -> std::thread::JoinHandle<String> {
-    let path = format!("/v1/photos/{id}/events");
-    std::thread::spawn(move || {
-        let mut connection = Connection::open(addr);
-        connection.send("GET", &path, &[], &[]);
-        assert_eq!(connection.head().unwrap().status, 200);
-        let mut all = Vec::new();
-        while let Some(chunk) = connection.chunk() {
-            all.extend(chunk);
-        }
-        String::from_utf8(all).unwrap()
-    })
-}
-
 #[test]
 fn one_node_accepts_a_photo_another_makes_it_and_a_third_serves_it() {
     let Some(shared) = Shared::start() else { return };
     let (a, b) = (shared.node("a", &["--role", "serve"]), shared.node("b", &["--role", "serve"]));
     let id = upload(a.addr, &large(1)).unwrap();
     assert_eq!(state(b.addr, &id)["state"], "queued", "the other node knows it at once");
-    let followed = events(b.addr, &id);
+    let mut followed = Events::open(b.addr, &id);
     let worker = shared.node("w", &["--role", "work"]);
     assert_eq!(get(worker.addr, "/healthz").status, 200);
     get(worker.addr, "/v1/photos").problem(404);
-    let told = followed.join().unwrap();
-    assert!(told.contains("event: stage") && told.contains("event: done"), "events arrive at another node: {told}");
+    let told: Vec<String> = std::iter::from_fn(|| followed.next()).map(|(name, _)| name).collect();
+    assert!(["stage", "done"].iter().all(|name| told.iter().any(|t| t == name)), "events arrive at another node: {told:?}");
     let path = |what: &str| format!("/v1/photos/{id}{what}");
     let atlas = get(a.addr, &path("/atlas"));
     assert_eq!(get(b.addr, &path("/atlas")).body, atlas.body);
     let part = request(b.addr, "GET", &path("/atlas"), &[("range", "bytes=2-9"), ("if-range", atlas.header("etag").unwrap())], &[]);
     assert_eq!((part.status, part.body.as_slice()), (206, &atlas.body[2..10]));
     assert_eq!(get(b.addr, &path("/view?w=32")).status, 200);
-    let patched = request(a.addr, "PATCH", &path(""), &[("content-type", "application/json")], br#"{"title": "A name"}"#);
-    assert_eq!(patched.status, 200);
+    request(a.addr, "PATCH", &path(""), &[JSON], br#"{"title": "A name"}"#).is(200);
     assert_eq!(state(b.addr, &id)["settings"]["title"], "A name");
     // any node serves a file that the worker wrote
     let ordered = request(a.addr, "POST", &path("/exports?format=html"), &[], &[]);
@@ -144,11 +131,11 @@ fn if_two_workers_make_one_photo_only_one_result_counts() {
     let id = upload(serve.addr, &large(1)).unwrap();
     wait_until("it has begun", || state(serve.addr, &id)["state"] == "working");
     // the worker stops, as on a machine that swaps, and does not renew its lease
-    slow.signal(libc::SIGSTOP);
+    slow.signal(Signal::STOP);
     let _quick = shared.node("w2", &["--role", "work"]);
     wait_until("the other worker has made it", || state(serve.addr, &id)["state"] == "done");
     let atlas = get(serve.addr, &format!("/v1/photos/{id}/atlas")).body;
-    slow.signal(libc::SIGCONT);
+    slow.signal(Signal::CONT);
     drop(held);
     wait_until("the first worker has dropped it", || slow.logged().contains("outcome=\"deleted\""));
     assert_eq!(state(serve.addr, &id)["state"], "done");

@@ -120,7 +120,7 @@ pub fn send(server: &Running, route: &Route, method: &str, path: &str, mut heade
         _ => Vec::new(),
     };
     if takes_json {
-        headers.push(("content-type", "application/json"));
+        headers.push(JSON);
     }
     if method == "OPTIONS" {
         headers.push(("access-control-request-method", "GET"));

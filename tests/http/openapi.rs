@@ -2,6 +2,7 @@
 
 use tmpi::server::{BasePath, routes};
 
+use crate::exports::written;
 use crate::live::{Publisher, frame};
 use crate::prelude::*;
 
@@ -22,17 +23,17 @@ fn every_route_of_the_document_answers_as_it_says() {
     wait_until("a frame is done", || get(server.addr, "/v1/live/attic/frames/latest/atlas").status == 200);
     let newest = get(server.addr, "/v1/live/attic/gops/latest");
     let first = format!("{}-0", newest.header("location").unwrap().split('-').next().unwrap());
-    let json: &[(&str, &str)] = &[("content-type", "application/json")];
-    let webhook = request(server.addr, "POST", "/v1/webhooks", json, WEBHOOK).json()["id"].as_str().unwrap().to_owned();
+    let webhook = id(&request(server.addr, "POST", "/v1/webhooks", &[JSON], WEBHOOK).json());
     let mut deletions = Vec::new();
     let mut count = 0;
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
             // a new export for each call: a previous call may have deleted it or made the photo again
-            let key = if path.contains("{key}") { written(&server, &photo) } else { String::new() };
+            let export = if path.contains("{key}") { written(server.addr, &photo, "format=glb") } else { Value::Null };
+            let key = export["key"].as_str().unwrap_or_default();
             let path = if path == "/oembed" { "/oembed?url=http://localhost/view/{id}" } else { path };
             let id = if path.starts_with("/v1/webhooks") { &webhook } else { &photo };
-            let path = path.replace("{id}", id).replace("{key}", &key).replace("{room}", "attic").replace("{group}", &first);
+            let path = path.replace("{id}", id).replace("{key}", key).replace("{room}", "attic").replace("{group}", &first);
             let call = (method.to_uppercase(), path, operation);
             if method == "delete" && key.is_empty() {
                 deletions.push(call);
@@ -55,18 +56,11 @@ fn every_route_of_the_document_answers_as_it_says() {
     assert!(pages.iter().all(|r| !r.path.starts_with("/v1/") && r.methods == ["GET"]), "{pages:?}");
 }
 
-/// Orders a file and waits for it; returns its key.
-fn written(server: &Running, photo: &str) -> String {
-    let state = || request(server.addr, "POST", &format!("/v1/photos/{photo}/exports?format=glb"), &[], &[]).json();
-    wait_until("a file is written", || state()["state"] == "done");
-    state()["key"].as_str().unwrap().to_owned()
-}
-
 fn check(server: &Running, (method, path, operation): &(String, String, &Value)) {
     let (headers, body): (&[_], _) = match method.as_str() {
         "POST" if path == "/v1/photos" => (&[], jpeg(2)),
-        "POST" if path == "/v1/webhooks" => (&[("content-type", "application/json")], WEBHOOK.to_vec()),
-        "PATCH" => (&[("content-type", "application/json")], b"{}".to_vec()),
+        "POST" if path == "/v1/webhooks" => (&[JSON], WEBHOOK.to_vec()),
+        "PATCH" => (&[JSON], b"{}".to_vec()),
         _ => (&[], Vec::new()),
     };
     let answer = request(server.addr, method, path, headers, &body);
@@ -122,10 +116,8 @@ fn every_schema_and_parameter_is_described() {
         serde_json::from_slice(&tmpi::server::openapi_of(&Limits::default(), true, &BasePath::default()).unwrap()).unwrap();
     assert!(document["paths"]["/metrics"].is_object() && with_door["paths"]["/metrics"].is_null(), "admin routes are on their listener");
     let of_strokes = &schemas["StrokesPatch"];
-    assert_eq!(
-        (&of_strokes["required"], &of_strokes["properties"]["strokes"]["type"]),
-        (&Value::Null, &serde_json::json!(["array", "null"]))
-    );
+    assert_eq!(of_strokes["required"], Value::Null);
+    assert_eq!(of_strokes["properties"]["strokes"]["type"], json!(["array", "null"]));
     let mut ids = std::collections::HashSet::new();
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {

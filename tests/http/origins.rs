@@ -13,15 +13,11 @@ pub fn start() -> (Running, String) {
 fn a_request_has_one_host() {
     let (server, _) = start();
     for headers in ["", "host: localhost\r\nhost: localhost\r\n", "host: a b\r\n"] {
-        let mut connection = Connection::open(server.addr);
-        std::io::Write::write_all(connection.raw(), format!("GET /healthz HTTP/1.1\r\n{headers}\r\n").as_bytes()).unwrap();
-        assert_eq!(connection.receive("GET").unwrap().status, 400, "{headers:?}");
+        let answer = send_raw(server.addr, format!("GET /healthz HTTP/1.1\r\n{headers}\r\n").as_bytes());
+        assert_eq!(answer.status, 400, "{headers:?}");
     }
     // the host of an absolute target counts, not `Host`
-    let mut connection = Connection::open(server.addr);
-    let target = b"GET http://evil.example/healthz HTTP/1.1\r\nhost: localhost\r\n\r\n";
-    std::io::Write::write_all(connection.raw(), target).unwrap();
-    assert_eq!(connection.receive("GET").unwrap().status, 421);
+    send_raw(server.addr, b"GET http://evil.example/healthz HTTP/1.1\r\nhost: localhost\r\n\r\n").is(421);
 }
 
 #[test]
@@ -39,8 +35,8 @@ fn frames_of_other_sites_show_only_the_photo() {
     assert_eq!(ancestors(&embed), "*");
     assert_eq!(server.state(&id)["links"]["embed"], embed);
     // the page contains no form, no button and no script that changes anything
-    let page = String::from_utf8(get(server.addr, &embed).body).unwrap();
-    let script = String::from_utf8(get(server.addr, "/static/app/embed-page.js").body).unwrap();
+    let page = get(server.addr, &embed).text();
+    let script = get(server.addr, "/static/app/embed-page.js").text();
     for word in ["<form", "<button", "<input", "PATCH", "DELETE", "POST", "api.js"] {
         assert!(!page.contains(word) && !script.contains(word), "{word}");
     }

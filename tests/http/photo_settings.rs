@@ -4,10 +4,11 @@ use tmpi_testing::Need;
 
 use crate::prelude::*;
 
-const JSON: (&str, &str) = ("content-type", "application/merge-patch+json");
+/// The header of a merge patch.
+pub const PATCH: (&str, &str) = ("content-type", "application/merge-patch+json");
 
-fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) -> Response {
-    request(server.addr, "PATCH", photo, &[&[JSON], headers].concat(), body.to_string().as_bytes())
+pub fn patch(server: &Running, path: &str, headers: &[(&str, &str)], body: &Value) -> Response {
+    request(server.addr, "PATCH", path, &[&[PATCH], headers].concat(), body.to_string().as_bytes())
 }
 
 #[test]
@@ -55,8 +56,7 @@ fn settings_stay_with_the_photo() {
     assert_eq!(request(server.addr, "GET", &photo, &[("if-none-match", &etag)], &[]).status, 304);
 
     let wanted = json!({ "title": "A box", "motion": { "x": 0.5 }, "focus": 0.4, "start": { "x": -0.25 }, "poster": { "x": 1, "y": -1 } });
-    let changed = patch(&server, &photo, &[("if-match", &etag)], &wanted);
-    assert_eq!(changed.status, 200, "{}", String::from_utf8_lossy(&changed.body));
+    let changed = patch(&server, &photo, &[("if-match", &etag)], &wanted).is(200);
     let settings = changed.json()["settings"].clone();
     assert_eq!(settings["title"], "A box");
     assert_eq!(settings["motion"], json!({ "x": 0.5, "y": 1.0, "z": 1.0 }));
@@ -86,10 +86,10 @@ fn a_wrong_setting_is_named_and_changes_nothing() {
     request(server.addr, "PATCH", &photo, &[("content-type", "text/plain")], b"{}").problem(415);
     request(server.addr, "PATCH", &photo, &[], b"{}").problem(415);
     let at_limit = format!("{{{}}}", " ".repeat((16 << 10) - 2));
-    assert_eq!(request(server.addr, "PATCH", &photo, &[JSON], at_limit.as_bytes()).status, 200);
-    request(server.addr, "PATCH", &photo, &[JSON], format!("{at_limit} ").as_bytes()).problem(413);
-    request(server.addr, "PATCH", "/v1/photos/0123456789abcdef0123456789abcdef", &[JSON], b"{}").problem(404);
-    let foreign = request(server.addr, "PATCH", &photo, &[JSON, ("sec-fetch-site", "cross-site")], b"{}");
+    assert_eq!(request(server.addr, "PATCH", &photo, &[PATCH], at_limit.as_bytes()).status, 200);
+    request(server.addr, "PATCH", &photo, &[PATCH], format!("{at_limit} ").as_bytes()).problem(413);
+    request(server.addr, "PATCH", "/v1/photos/0123456789abcdef0123456789abcdef", &[PATCH], b"{}").problem(404);
+    let foreign = request(server.addr, "PATCH", &photo, &[PATCH, ("sec-fetch-site", "cross-site")], b"{}");
     assert_eq!(foreign.problem(403)["type"], "urn:tmpi:problem:cross-site");
     assert_eq!(get(server.addr, &photo).json()["settings"], json!({ "version": 1 }));
 }
@@ -120,13 +120,8 @@ fn abandoned_views_are_not_drawn() {
     const CLIENTS: usize = 8;
     let server = Running::with(Limits { views: 1, views_waiting: CLIENTS, ..Limits::default() }, Arc::new(pipeline()));
     let photo = format!("/v1/photos/{}", server.make(&picture(1, PictureFormat::Png)));
-    let clients: Vec<Connection> = (0..CLIENTS)
-        .map(|n| {
-            let mut client = Connection::open(server.addr);
-            client.send("GET", &format!("{photo}/view?tx=0.00{n}&w=4000&h=3000&format=png"), &[], &[]);
-            client
-        })
-        .collect();
+    let path = |n: usize| format!("{photo}/view?tx=0.00{n}&w=4000&h=3000&format=png");
+    let clients: Vec<_> = (0..CLIENTS).map(|n| Connection::asking(server.addr, &path(n))).collect();
     // the request for the metrics counts, too
     wait_until("all ask", || server.metric("tmpi_requests_in_flight") > CLIENTS as u64);
     drop(clients);

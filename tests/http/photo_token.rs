@@ -2,13 +2,9 @@
 
 use crate::prelude::*;
 
-const JSON: (&str, &str) = ("content-type", "application/json");
-
 /// The links of a photo that its owner can share.
 fn links(server: &Running, who: &str, photo: &str) -> Value {
-    let answer = ask(server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", who)], &[]);
-    assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
-    answer.json()
+    ask(server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", who)], &[]).is(200).json()
 }
 
 /// The photo's token in these links.
@@ -60,9 +56,7 @@ fn a_browser_keeps_a_photos_token_and_stays_the_same_owner() {
             [("authorization", bearer.as_str()), ("cookie", &of_bob), ("x-forwarded-proto", scheme), ("sec-fetch-site", "same-origin")];
         ask(&server, "POST", &keep, &headers, &[])
     };
-    let kept = post(&token, "http");
-    assert_eq!(kept.status, 204);
-    let cookie = kept.all("set-cookie");
+    let cookie = post(&token, "http").is(204).all("set-cookie");
     assert!(cookie.starts_with(&format!("tmpi_manage={token}; Path={at}; Max-Age=")), "{cookie}");
     assert!(cookie.ends_with("; HttpOnly; SameSite=Lax"), "{cookie}");
     let by_tls = post(&token, "https").all("set-cookie");
@@ -74,8 +68,7 @@ fn a_browser_keeps_a_photos_token_and_stays_the_same_owner() {
     }
     let pairs = format!("{of_bob}; {}", cookie.split(';').next().unwrap());
     let browser = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
-        let headers: Vec<_> = [("cookie", pairs.as_str()), JSON].into_iter().chain(more.iter().copied()).collect();
-        ask(&server, method, path, &headers, body)
+        ask(&server, method, path, &[&[("cookie", pairs.as_str()), JSON], more].concat(), body)
     };
     let own = [("sec-fetch-site", "same-origin")];
     assert_eq!((browser("GET", &at, &own, &[]).status, browser("PATCH", &at, &own, b"{\"title\": \"A\"}").status), (200, 200));
@@ -163,9 +156,9 @@ fn a_ticket_makes_another_browser_the_same_owner_and_nothing_else() {
     assert_eq!(ask_for(&[]).problem(403)["type"], "urn:tmpi:problem:no-owner");
     let told = ask_for(&[("authorization", &ann)]);
     assert_eq!((told.status, told.header("cache-control")), (200, Some("private, no-store")));
-    let (told, text) = (told.json(), String::from_utf8(told.body).unwrap());
+    let (told, text) = (told.json(), told.text());
     assert!(!text.contains(&"a".repeat(40)), "the answer does not contain the secret");
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs();
+    let now = seconds_now();
     assert!((now + 800..now + 1000).contains(&told["expires"].as_u64().unwrap()));
     let ticket = told["ticket"].as_str().unwrap();
     // a ticket is offered to the owner only
@@ -191,10 +184,8 @@ fn a_ticket_makes_another_browser_the_same_owner_and_nothing_else() {
         assert!(kept.starts_with("tmpi_owner=tmpi_s_") && kept.ends_with("; HttpOnly; SameSite=Lax"), "{kept}");
         let pair = kept.split(';').next().unwrap();
         let browser = |method: &str, path: &str, cookie: &str| ask(&server, method, path, &[("cookie", cookie), JSON], b"");
-        assert_eq!(
-            (browser("GET", &at, pair).status, browser("GET", "/v1/photos", pair).json()["photos"][0]["id"].as_str()),
-            (200, Some(&*photo))
-        );
+        assert_eq!(browser("GET", &at, pair).status, 200);
+        assert_eq!(ids(&browser("GET", "/v1/photos", pair))[0], photo);
         // the session stays, cannot be forged, and counts as a cookie only
         assert!(browser("GET", "/", pair).all("set-cookie").starts_with(pair));
         assert_eq!(exchange(ticket, "", pair).status, 204, "it is the same owner");

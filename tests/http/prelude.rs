@@ -12,10 +12,10 @@ pub use tmpi_pipeline::{MakeError, Options, Sink};
 pub use tmpi_render::{PictureFormat, View, encode};
 
 pub use crate::access::{HOST, ask, private, private_with, secret, upload};
-pub use crate::client::{Connection, Response, form, get, post_form, request};
+pub use crate::client::{Connection, JSON, Response, form, get, post_form, request, send_raw};
 pub use crate::fixture::{
-    Running, contents, depth_map, drawn_by_cpu, figure, id, ids, incoming, jpeg, listed, noise, picture, serves_others, spoilt_map, state,
-    usual, wait_until, with_rooms,
+    Running, block_on, contents, depth_map, drawn_by_cpu, figure, id, ids, incoming, jpeg, listed, noise, picture, seconds_now,
+    serves_others, spoilt, spoilt_map, state, usual, wait_until, with_rooms,
 };
 pub use crate::key_fixture::Scope;
-pub use crate::makers::{Does, Gate, SlowDrawing, bright, models, pipeline, way_within, with_network};
+pub use crate::makers::{Does, Gate, SlowDrawing, bright, failing, models, pipeline, way_within, with_network};

@@ -1,12 +1,16 @@
 //! `tmpi serve` as a process, and the processes that make its photos.
 
-use std::io::{BufRead, BufReader, Read as _, Write};
+use std::io::Write;
 use std::process::{Child, Command, Stdio};
+
+#[cfg(unix)]
+use rustix::process::{Pid, Signal, kill_process};
+use tmpi_testing::program::Killed;
 
 use crate::prelude::*;
 
 pub struct Process {
-    pub child: Child,
+    pub child: Killed,
     pub addr: SocketAddr,
     pub log: tempfile::NamedTempFile,
 }
@@ -17,15 +21,10 @@ impl Process {
     }
 
     pub fn start_with(data: &Path, arguments: &[&str]) -> Self {
-        Self::start_in(data, arguments, &[])
+        Self::start_at(0, data, arguments, &[])
     }
 
-    /// With these environment variables.
-    pub fn start_in(data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
-        Self::start_at(0, data, arguments, environment)
-    }
-
-    /// At a given port.
+    /// At a given port, with these environment variables.
     pub fn start_at(port: u16, data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
         // a file, because a full pipe would block the server
         let log = tempfile::NamedTempFile::new().unwrap();
@@ -43,22 +42,23 @@ impl Process {
     }
 
     /// A process that writes its address and then its log.
-    pub fn listening(mut child: Child, log: tempfile::NamedTempFile) -> Self {
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let addr = line.trim().strip_prefix("http://").and_then(|a| a.parse().ok());
-        Self { addr: addr.unwrap_or_else(|| panic!("the first line of standard output is the address: {line:?}")), child, log }
+    pub fn listening(child: Child, log: tempfile::NamedTempFile) -> Self {
+        let mut child = Killed(child);
+        let line = child.first_line();
+        let addr = line.strip_prefix("http://").and_then(|a| a.parse().ok());
+        let addr = addr.unwrap_or_else(|| panic!("the first line of standard output is the address: {line:?}"));
+        Self { child, addr, log }
     }
 
     /// Kills the server without a chance to clean up.
     pub fn crash(&mut self) {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
+        self.child.0.kill().unwrap();
+        self.child.0.wait().unwrap();
     }
 
     /// Its process that makes photos.
     #[cfg(target_os = "linux")]
-    pub fn maker(&self) -> Option<libc::pid_t> {
+    pub fn maker(&self) -> Option<i32> {
         self.child_process(false)
     }
 
@@ -72,19 +72,19 @@ impl Process {
     fn held(&self, gives_way: bool) -> Held {
         wait_until("there is such a process", || self.child_process(gives_way).is_some());
         let held = Held(self.child_process(gives_way).unwrap());
-        held.signal(libc::SIGSTOP);
+        held.signal(Signal::STOP);
         held
     }
 
     /// A child process of the server: one that runs at low priority and writes files, or one that makes photos.
     #[cfg(target_os = "linux")]
-    fn child_process(&self, gives_way: bool) -> Option<libc::pid_t> {
+    fn child_process(&self, gives_way: bool) -> Option<i32> {
         let ours = |pid: &str| {
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
             let mut rest = stat.rsplit_once(')')?.1.split_whitespace().skip(1);
-            (rest.next()?.parse::<u32>().ok()? == self.child.id()).then(|| pid.parse().ok())?
+            (rest.next()?.parse::<u32>().ok()? == self.child.0.id()).then(|| pid.parse().ok())?
         };
-        let way = |pid: &libc::pid_t| {
+        let way = |pid: &i32| {
             let variables = std::fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
             String::from_utf8_lossy(&variables).contains("TMPI_MAKES_PHOTOS=gives-way") == gives_way
         };
@@ -105,58 +105,34 @@ impl Process {
     /// Waits until the server is sending a photo larger than a pipe to the stopped process.
     #[cfg(target_os = "linux")]
     pub fn wait_for_photo(&self) {
-        let tasks = format!("/proc/{}/task", self.child.id());
+        let tasks = format!("/proc/{}/task", self.child.0.id());
         let sends =
             |task: std::fs::DirEntry| std::fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name.trim() == "tmpi-sends");
         wait_until("the photo is being sent", || std::fs::read_dir(&tasks).unwrap().flatten().any(sends));
     }
 
     #[cfg(unix)]
-    #[allow(unsafe_code, reason = "the standard library has no call that sends another signal than SIGKILL")]
-    pub fn signal(&self, signal: libc::c_int) {
-        // SAFETY: the process is our child and was not waited for
-        assert_eq!(unsafe { libc::kill(self.child.id() as libc::pid_t, signal) }, 0);
+    pub fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.child.0), signal).unwrap();
     }
 
     #[cfg(unix)]
-    #[allow(unsafe_code, reason = "a signal to a child of this test")]
     pub fn terminate(mut self) -> (std::process::ExitStatus, String) {
-        // SAFETY: the process is our child and was not waited for
-        assert_eq!(unsafe { libc::kill(self.child.id() as libc::pid_t, libc::SIGTERM) }, 0);
-        let status = self.child.wait().unwrap();
-        (status, std::fs::read_to_string(self.log.path()).unwrap())
-    }
-}
-
-/// A process that does not outlive its test.
-pub struct Killed(pub Child);
-
-impl Killed {
-    /// Its standard output until it ends.
-    pub fn printed(mut self) -> String {
-        let mut all = String::new();
-        self.0.stdout.take().unwrap().read_to_string(&mut all).unwrap();
-        all
-    }
-}
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        self.signal(Signal::TERM);
+        let status = self.child.0.wait().unwrap();
+        (status, self.logged())
     }
 }
 
 /// A stopped process that makes photos.
 #[cfg(target_os = "linux")]
-pub struct Held(pub libc::pid_t);
+pub struct Held(pub i32);
 
 #[cfg(target_os = "linux")]
 impl Held {
-    #[allow(unsafe_code, reason = "the standard library has no call that sends a signal to the child of a child")]
-    pub fn signal(&self, signal: libc::c_int) {
-        // SAFETY: the call touches no memory; it returns an error if the process has ended
-        let _ = unsafe { libc::kill(self.0, signal) };
+    pub fn signal(&self, signal: Signal) {
+        // an error if the process has ended
+        let _ = kill_process(Pid::from_raw(self.0).unwrap(), signal);
     }
 
     /// A value of `/proc` in bytes: the first word after `name` times `unit`.
@@ -167,12 +143,9 @@ impl Held {
     }
 
     /// Bounds its memory from now on, in bytes.
-    #[allow(unsafe_code, reason = "the standard library has no call that bounds another process")]
     pub fn bound_data(&self, bytes: u64) {
-        let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
-        // SAFETY: the struct outlives the call, which only reads it
-        let done = unsafe { libc::prlimit(self.0, libc::RLIMIT_DATA, &raw const limit, std::ptr::null_mut()) };
-        assert_eq!(done, 0, "{}", std::io::Error::last_os_error());
+        let limit = rustix::process::Rlimit { current: Some(bytes), maximum: Some(bytes) };
+        rustix::process::prlimit(Pid::from_raw(self.0), rustix::process::Resource::Data, limit).unwrap();
     }
 
     pub fn has_ended(&self) -> bool {
@@ -183,14 +156,7 @@ impl Held {
 #[cfg(target_os = "linux")]
 impl Drop for Held {
     fn drop(&mut self) {
-        self.signal(libc::SIGCONT);
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.signal(Signal::CONT);
     }
 }
 
@@ -208,9 +174,7 @@ pub fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
         format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: {}\r\n\r\n", body.len());
     connection.raw().write_all(head.as_bytes()).ok()?;
     connection.raw().write_all(&body).ok()?;
-    let answer = connection.receive("POST").ok()?;
-    assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
-    Some(id(&answer.json()))
+    Some(id(&connection.receive("POST").ok()?.is(202).json()))
 }
 
 /// A picture that takes a while to make and does not fit into a pipe.
@@ -232,7 +196,5 @@ pub fn sized(seed: u32, width: u32, height: u32) -> Vec<u8> {
 pub fn upload_with(addr: SocketAddr, photo: &[u8], options: &[(&str, &[u8])]) -> String {
     let depth = depth_map();
     let (content_type, body) = form(&[&[("photo", photo), ("depth", &depth)], options].concat());
-    let answer = request(addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body);
-    assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
-    id(&answer.json())
+    id(&request(addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body).is(202).json())
 }

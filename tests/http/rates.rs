@@ -20,8 +20,7 @@ fn a_key_over_its_rate_gets_429_and_other_keys_do_not() {
     let key = |name: &str| key_fixture::add(server.data(), name, &[Scope::Upload, Scope::Read]);
     let (site, second_of_site, other) = (key("site"), key("site"), key("other"));
     let upload = |key: &str, seed| ask(&server, "POST", "/v1/photos", &[("authorization", key), ("prefer", "wait=60")], &jpeg(seed));
-    let first = upload(&site, 1);
-    assert_eq!(first.status, 201);
+    let first = upload(&site, 1).is(201);
     assert_eq!(first.header("ratelimit-policy"), Some("\"requests\";q=1000;w=60, \"uploads\";q=2;w=60"));
     assert_eq!((parameter(&first, "ratelimit", "uploads", "r"), parameter(&first, "ratelimit", "requests", "r")), (1, 999));
     assert!(matches!(upload(&second_of_site, 2).status, 201 | 202));

@@ -25,8 +25,7 @@ impl Delivery for Request {
         let mut mac = Hmac::<Sha256>::new_from_slice(&key).unwrap();
         mac.update(format!("{}.{}.", self.header("webhook-id"), self.header("webhook-timestamp")).as_bytes());
         mac.update(&self.body);
-        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs();
-        let is_fresh = self.header("webhook-timestamp").parse::<u64>().unwrap().abs_diff(now) < 300;
+        let is_fresh = self.header("webhook-timestamp").parse::<u64>().unwrap().abs_diff(seconds_now()) < 300;
         is_fresh && self.header("webhook-signature") == format!("v1,{}", STANDARD.encode(mac.finalize().into_bytes()))
     }
 }

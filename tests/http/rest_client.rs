@@ -5,11 +5,7 @@ use tmpi_testing::{Answer, StandIn};
 
 use crate::prelude::*;
 
-pub fn block_on<T>(work: impl Future<Output = T>) -> T {
-    tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(work)
-}
-
-pub fn client(server: &Running) -> Client {
+fn client(server: &Running) -> Client {
     Client::new(&format!("http://{}", server.addr)).unwrap()
 }
 

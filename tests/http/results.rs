@@ -11,8 +11,7 @@ fn the_atlas_whole_in_parts_and_not_at_all() {
     let (server, photo) = Running::with_photo();
     let path = format!("{photo}/atlas");
     let fetch = |method: &str, headers: &[(&str, &str)]| request(server.addr, method, &path, headers, &[]);
-    let whole = fetch("GET", &[]);
-    assert_eq!(whole.status, 200);
+    let whole = fetch("GET", &[]).is(200);
     assert_eq!(whole.header("content-type"), Some("application/vnd.tmpi"));
     assert_eq!(whole.header("cache-control"), Some("no-cache"));
     assert_eq!(whole.header("accept-ranges"), Some("bytes"));
@@ -168,8 +167,7 @@ fn views_in_every_format_with_their_timing() {
     }
     assert_eq!(view("", &[("if-none-match", identity.header("etag").unwrap())]).status, 304);
 
-    let moved = view("tx=0.03&ty=-0.02&tz=0.01&yaw=1&pitch=-1&roll=2&fov=60", &[]);
-    assert_eq!(moved.status, 200);
+    let moved = view("tx=0.03&ty=-0.02&tz=0.01&yaw=1&pitch=-1&roll=2&fov=60", &[]).is(200);
     assert_ne!(moved.body, identity.body);
     assert_ne!(moved.header("etag"), identity.header("etag"));
 
@@ -340,7 +338,7 @@ fn pages_and_the_headers_of_every_answer() {
     for path in ["/view/0123456789abcdef0123456789abcdef", "/view/no-id", "/embed/0123456789abcdef0123456789abcdef"] {
         let page = request(server.addr, "GET", path, &[("if-none-match", "*"), ("range", "bytes=0-5")], &[]);
         assert_eq!((page.status, page.header("content-type")), (404, Some("text/html; charset=utf-8")), "{path}");
-        assert!(String::from_utf8(page.body).unwrap().contains("</html>"), "{path}: a page, not a problem");
+        assert!(page.text().contains("</html>"), "{path}: a page, not a problem");
     }
     for path in ["/", "/demo"] {
         let page = get(server.addr, path);
@@ -374,7 +372,7 @@ fn health_and_metrics() {
     assert_eq!(get(server.addr, &format!("{photo}/view?w=8")).status, 200);
     let metrics = get(server.addr, "/metrics");
     assert!(metrics.header("content-type").unwrap().starts_with("application/openmetrics-text"));
-    let text = String::from_utf8(metrics.body).unwrap();
+    let text = metrics.text();
     let value = |name: &str| {
         text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse::<f64>().ok()).unwrap_or_else(|| panic!("{name} in\n{text}"))
     };
@@ -409,11 +407,8 @@ fn text_is_compressed_if_accepted_and_pictures_and_containers_never_are() {
     use std::io::Read as _;
     let server = Running::open();
     // a large report, and a list
-    let ids: Vec<String> = [large(1), jpeg(1), jpeg(2)].iter().map(|photo| server.upload(photo)).collect();
-    for id in &ids {
-        server.wait(id, "done");
-    }
-    let photo = format!("/v1/photos/{}", ids[0]);
+    let [id, ..] = [large(1), jpeg(1), jpeg(2)].map(|photo| server.make(&photo));
+    let photo = format!("/v1/photos/{id}");
     let ask = |path: &str, coding: &str| request(server.addr, "GET", path, &[("accept-encoding", coding)], &[]);
     let report = format!("{photo}/report");
     let texts =
@@ -440,6 +435,5 @@ fn text_is_compressed_if_accepted_and_pictures_and_containers_never_are() {
     }
     // `If-Match` accepts the tag of a compressed answer
     let seen = ask(&photo, "gzip").header("etag").unwrap().to_owned();
-    let patch = [("content-type", "application/json"), ("if-match", &seen)];
-    assert_eq!(request(server.addr, "PATCH", &photo, &patch, br#"{"title": "A"}"#).status, 200);
+    assert_eq!(request(server.addr, "PATCH", &photo, &[JSON, ("if-match", &seen)], br#"{"title": "A"}"#).status, 200);
 }

@@ -29,18 +29,16 @@ fn the_quota_of_photos_applies_to_each_owner() {
     let server = private_with(Limits { quotas: Quotas { photos: 2, bytes: 0 }, ..Limits::default() }, Arc::new(pipeline()));
     let (ann, bob) = (secret("a"), secret("b"));
     let upload = |who: &str, seed| ask(&server, "POST", "/v1/photos", &[("authorization", who), ("prefer", "wait=60")], &jpeg(seed));
-    let first = upload(&ann, 1).json()["id"].as_str().unwrap().to_owned();
+    let first = id(&upload(&ann, 1).json());
     assert!(matches!(upload(&ann, 2).status, 201 | 202));
     let refused = upload(&ann, 3).problem(403);
     assert_eq!(refused["type"], "urn:tmpi:problem:quota");
     assert!(refused["detail"].as_str().unwrap().contains("the limit is 2 (quotas.photos)"), "{refused}");
     // refused before the body is sent
-    let mut connection = Connection::open(server.addr);
     let head = format!(
         "POST /v1/photos HTTP/1.1\r\nhost: photos.example\r\nauthorization: {ann}\r\ncontent-length: 1000\r\nexpect: 100-continue\r\n\r\n"
     );
-    std::io::Write::write_all(connection.raw(), head.as_bytes()).unwrap();
-    connection.receive("POST").unwrap().problem(403);
+    send_raw(server.addr, head.as_bytes()).problem(403);
     assert!(matches!(upload(&bob, 3).status, 201 | 202));
     assert_eq!(ask(&server, "DELETE", &format!("/v1/photos/{first}"), &[("authorization", &ann)], &[]).status, 204);
     assert!(matches!(upload(&ann, 3).status, 201 | 202), "there is room again");

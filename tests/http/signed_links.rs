@@ -1,7 +1,6 @@
 //! Links that an application signs with its key.
 
 use std::process::Command;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use hmac::{Hmac, KeyInit as _, Mac as _};
 use sha2::{Digest as _, Sha256};
@@ -21,7 +20,7 @@ fn signature(key: &str, text: &str) -> String {
 /// `address` with `key` and `expires`, unsigned.
 fn unsigned(key: &str, address: &str, seconds: u64) -> String {
     let id = &hex(&Sha256::digest(key.strip_prefix("Bearer ").unwrap()))[..8];
-    let expires = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() + seconds;
+    let expires = seconds_now() + seconds;
     format!("{address}{}key={id}&expires={expires}", if address.contains('?') { '&' } else { '?' })
 }
 
@@ -109,7 +108,7 @@ fn an_application_signs_a_photo_with_its_pages() {
     for path in ["/v1/photos/ID?", "/v1/photos/ID/atlas?level=1&", "/v1/photos/ID/view?w=8&", "/view/ID?", "/embed/ID?"] {
         assert_eq!(stranger(&server, &format!("{path}{link}").replace("ID", &photo)).status, 200, "{path}");
     }
-    let change = ask(&server, "PATCH", &format!("/v1/photos/{photo}?{link}"), &[("content-type", "application/json")], b"{}");
+    let change = ask(&server, "PATCH", &format!("/v1/photos/{photo}?{link}"), &[JSON], b"{}");
     assert_eq!((change.status, stranger(&server, &format!("/v1/photos?{link}")).json()["photos"].as_array().unwrap().len()), (404, 0));
     // the page's card and its cookie have the link
     let page = stranger(&server, &format!("/view/{photo}?{link}"));

@@ -68,25 +68,23 @@ fn start(hosts: &[String], source_addresses: AddressPolicy) -> Running {
 }
 
 fn post(server: &Running, body: &Value) -> Response {
-    request(server.addr, "POST", "/v1/photos", &[("content-type", "application/json"), ("prefer", "wait=60")], body.to_string().as_bytes())
+    request(server.addr, "POST", "/v1/photos", &[JSON, ("prefer", "wait=60")], body.to_string().as_bytes())
 }
 
 #[test]
 fn a_photo_and_its_depth_map_are_fetched() {
     let files = source();
     let server = start(&[files.url("")], AddressPolicy::Any);
-    let made = post(&server, &json!({ "source": files.url("/By%20the%20sea.jpg#x"), "quality": 70 }));
-    assert_eq!(made.status, 201, "{}", String::from_utf8_lossy(&made.body));
-    let made = made.json();
+    let made = post(&server, &json!({ "source": files.url("/By%20the%20sea.jpg#x"), "quality": 70 })).is(201).json();
     assert_eq!((&made["settings"]["title"], &made["options"]["quality"]), (&"By the sea".into(), &"70".into()));
     // the same bytes by an upload are the same photo
     let uploaded = request(server.addr, "POST", "/v1/photos?quality=70", &[], &jpeg(1)).json();
     assert_eq!(uploaded["id"], made["id"]);
     let redirected = post(&server, &json!({ "source": files.url("/once"), "quality": 70, "title": "Another" })).json();
     assert_eq!((&redirected["id"], &redirected["settings"]["title"]), (&made["id"], &"Another".into()));
-    let with_depth = post(&server, &json!({ "source": files.url("/By%20the%20sea.jpg"), "depth_source": files.url("/depth.png") }));
-    assert_eq!(with_depth.status, 201);
-    assert_ne!(with_depth.json()["id"], made["id"]);
+    let with_depth =
+        post(&server, &json!({ "source": files.url("/By%20the%20sea.jpg"), "depth_source": files.url("/depth.png") })).is(201).json();
+    assert_ne!(with_depth["id"], made["id"]);
     wait_until("nothing is left", || incoming(server.data()) == 0);
     assert!(files.answered().iter().all(|asked| asked.header("accept").starts_with("image/*") && asked.header("if-none-match").is_empty()));
 }

@@ -8,6 +8,9 @@ use std::process::Stdio;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicUsize;
 
+#[cfg(target_os = "linux")]
+use rustix::process::Signal;
+
 use crate::prelude::*;
 #[cfg(target_os = "linux")]
 use crate::process::Held;
@@ -23,7 +26,7 @@ fn processes_that_make_photos_get_no_credentials() {
         ("TMPI_SERVE_LIMITS_JOB_MEMORY", "5000"),
         ("TMPI_MODELS", "/nowhere"),
     ];
-    let server = Process::start_in(dir.path(), &["--network-url", "http://user:a-secret@localhost/"], &environment);
+    let server = Process::start_at(0, dir.path(), &["--network-url", "http://user:a-secret@localhost/"], &environment);
     let read =
         |file: &str| String::from_utf8_lossy(&std::fs::read(format!("/proc/{}/{file}", server.maker().unwrap())).unwrap()).into_owned();
     // between fork and exec, the child still has the server's environment
@@ -38,8 +41,7 @@ fn processes_that_make_photos_get_no_credentials() {
 fn json_logs_have_one_object_per_line() {
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start_with(dir.path(), &["--log", "json", "--set", "limits.drain=5"]);
-    let answer = request(server.addr, "GET", "/nothing\"}", &[("x-request-id", "mine-1")], b"");
-    assert_eq!(answer.status, 404);
+    request(server.addr, "GET", "/nothing\"}", &[("x-request-id", "mine-1")], b"").is(404);
     let (_, log) = server.terminate();
     let lines: Vec<serde_json::Value> = log.lines().map(|l| serde_json::from_str(l).unwrap_or_else(|e| panic!("{e}: {l}"))).collect();
     let line = lines.iter().find(|l| l["span"]["id"] == "mine-1").unwrap_or_else(|| panic!("{log}"));
@@ -50,7 +52,7 @@ fn json_logs_have_one_object_per_line() {
 #[test]
 fn a_server_without_its_library_is_not_ready_and_logs_why() {
     let data = tempfile::tempdir().unwrap();
-    let server = Process::start_in(data.path(), &[], &[("ORT_DYLIB_PATH", "/nowhere/libonnxruntime.so")]);
+    let server = Process::start_at(0, data.path(), &[], &[("ORT_DYLIB_PATH", "/nowhere/libonnxruntime.so")]);
     wait_until("it is not ready", || get(server.addr, "/readyz").status == 503);
     let detail = get(server.addr, "/readyz").problem(503)["detail"].as_str().unwrap().to_owned();
     assert!(detail.contains("ONNX Runtime is missing") && !detail.contains("/nowhere"), "the answer contains no path: {detail}");
@@ -194,7 +196,7 @@ fn another_process_makes_the_photo_if_one_is_killed() {
     let maker = server.hold();
     let id = upload_with(server.addr, &slow(2), &[]);
     server.wait_for_photo();
-    maker.signal(libc::SIGKILL);
+    maker.signal(Signal::KILL);
     wait_until("it is done", || state(server.addr, &id)["state"] == "done");
     let log = server.logged();
     assert!(log.contains("crashed its process") && !log.contains("panicked"), "{log}");
@@ -242,7 +244,7 @@ fn a_photo_over_its_memory_bound_ends_only_its_own_process() {
     maker.bound_data(maker.figure("status", "VmData:", 1024).unwrap() + (24 << 20));
     let id = upload_with(server.addr, &slow(9), &[]);
     server.wait_for_photo();
-    maker.signal(libc::SIGCONT);
+    maker.signal(Signal::CONT);
     wait_until("the limit has ended it", || maker.has_ended());
     // the server goes on, and another process makes the photo
     wait_until("it is done", || state(server.addr, &id)["state"] == "done");
@@ -279,10 +281,10 @@ fn a_second_signal_ends_it_at_once() {
     let _maker = server.hold();
     upload_with(server.addr, &slow(8), &[]);
     server.wait_for_photo();
-    server.signal(libc::SIGTERM);
+    server.signal(Signal::TERM);
     wait_until("the first signal has arrived", || server.logged().contains("stopping"));
     wait_until("the second signal ends it", || {
-        server.signal(libc::SIGTERM);
-        server.child.try_wait().unwrap().is_some_and(|status| status.code() == Some(1))
+        server.signal(Signal::TERM);
+        server.child.0.try_wait().unwrap().is_some_and(|status| status.code() == Some(1))
     });
 }

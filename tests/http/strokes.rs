@@ -2,13 +2,13 @@
 
 use tmpi_pipeline::depth::DepthKind;
 
+use crate::photo_settings::{self, PATCH};
 use crate::prelude::*;
 
-const JSON: (&str, &str) = ("content-type", "application/merge-patch+json");
 const WAIT: (&str, &str) = ("prefer", "wait=30");
 
 fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) -> Response {
-    request(server.addr, "PATCH", &format!("{photo}/strokes"), &[&[JSON], headers].concat(), body.to_string().as_bytes())
+    photo_settings::patch(server, &format!("{photo}/strokes"), headers, body)
 }
 
 fn sky() -> Value {
@@ -19,7 +19,7 @@ fn sky() -> Value {
 fn strokes_make_the_photo_again_and_stay_with_it() {
     let (server, photo) = Running::with_photo();
     let title = json!({ "title": "A box" });
-    assert_eq!(request(server.addr, "PATCH", &photo, &[JSON], title.to_string().as_bytes()).status, 200);
+    photo_settings::patch(&server, &photo, &[], &title).is(200);
     let before = get(server.addr, &photo).json();
     let depth = |server: &Running| get(server.addr, &format!("{photo}/depth")).body;
     let untouched = depth(&server);
@@ -27,13 +27,8 @@ fn strokes_make_the_photo_again_and_stay_with_it() {
     assert_eq!(none.json(), json!({ "version": 1, "strokes": [] }));
 
     let seen = none.header("etag").unwrap();
-    let changed = patch(&server, &photo, &[WAIT, ("if-match", seen)], &json!({ "strokes": [sky()] }));
-    assert_eq!(
-        (changed.status, changed.header("preference-applied")),
-        (200, Some("wait=30")),
-        "{}",
-        String::from_utf8_lossy(&changed.body)
-    );
+    let changed = patch(&server, &photo, &[WAIT, ("if-match", seen)], &json!({ "strokes": [sky()] })).is(200);
+    assert_eq!(changed.header("preference-applied"), Some("wait=30"));
     let after = changed.json();
     assert_eq!((&after["state"], &after["id"], &after["settings"]["title"]), (&json!("done"), &before["id"], &json!("A box")));
     assert_ne!(after["version"], before["version"]);
@@ -123,9 +118,9 @@ fn a_wrong_stroke_is_named_and_changes_nothing() {
     let raw = |headers: &[(&str, &str)], body: &str| request(server.addr, "PATCH", &format!("{photo}/strokes"), headers, body.as_bytes());
     raw(&[("content-type", "text/plain")], "{}").problem(415);
     let at_limit = format!("{{{}}}", " ".repeat((1 << 19) - 2));
-    assert_eq!(raw(&[JSON], &at_limit).status, 200);
-    raw(&[JSON], &format!("{at_limit} ")).problem(413);
-    assert_eq!(raw(&[JSON, ("sec-fetch-site", "cross-site")], "{}").problem(403)["type"], "urn:tmpi:problem:cross-site");
+    assert_eq!(raw(&[PATCH], &at_limit).status, 200);
+    raw(&[PATCH], &format!("{at_limit} ")).problem(413);
+    assert_eq!(raw(&[PATCH, ("sec-fetch-site", "cross-site")], "{}").problem(403)["type"], "urn:tmpi:problem:cross-site");
     patch(&server, "/v1/photos/0123456789abcdef0123456789abcdef", &[], &json!({})).problem(404);
     assert_eq!(get(server.addr, &format!("{photo}/strokes")).json()["strokes"], json!([]));
 }
@@ -136,8 +131,7 @@ fn strokes_are_refused_while_the_photo_is_made() {
     let server = Running::with(Limits::default(), gate.clone());
     let id = server.make(&jpeg(1));
     let photo = format!("/v1/photos/{id}");
-    let changed = patch(&server, &photo, &[], &json!({ "strokes": [sky()] }));
-    assert_eq!(changed.status, 202);
+    patch(&server, &photo, &[], &json!({ "strokes": [sky()] })).is(202);
     gate.wait_started(2);
     let refused = patch(&server, &photo, &[], &json!({ "strokes": null })).problem(409);
     assert_eq!((&refused["type"], &refused["retry_after"]), (&json!("urn:tmpi:problem:not-ready"), &json!(1)));

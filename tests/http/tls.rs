@@ -12,10 +12,10 @@ use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, ClientConnection, RootCertStore, StreamOwned};
 use tmpi::server::Tls;
+use tmpi_testing::program::Killed;
 
 use crate::live;
 use crate::prelude::*;
-use crate::process::Killed;
 
 fn example(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/http/certificates").join(name)
@@ -62,6 +62,13 @@ async fn second(addr: SocketAddr, client: &mut h2::client::Builder) -> SendReque
     sender
 }
 
+/// An HTTP/1.1 connection.
+fn first(addr: SocketAddr) -> StreamOwned<ClientConnection, TcpStream> {
+    let name = ServerName::try_from("localhost").unwrap();
+    let session = ClientConnection::new(trusting(&[b"http/1.1"]), name).unwrap();
+    StreamOwned::new(session, TcpStream::connect(addr).unwrap())
+}
+
 fn asks(method: &str, path: &str, host: &str) -> Request<()> {
     Request::builder().method(method).uri(format!("https://{host}{path}")).body(()).unwrap()
 }
@@ -95,9 +102,7 @@ async fn metric(sender: &SendRequest<Bytes>, name: &str) -> u64 {
 #[test]
 fn requests_on_a_keep_alive_connection_over_tls() {
     let (server, id, atlas) = start(Limits::default());
-    let name = ServerName::try_from("localhost").unwrap();
-    let session = ClientConnection::new(trusting(&[b"http/1.1"]), name).unwrap();
-    let mut stream = StreamOwned::new(session, TcpStream::connect(server.addr).unwrap());
+    let mut stream = first(server.addr);
     let mut ask = |path: &str, more: &str| {
         write!(stream, "GET {path} HTTP/1.1\r\nhost: localhost\r\n{more}\r\n").unwrap();
         let mut head = Vec::new();
@@ -125,16 +130,13 @@ fn requests_on_a_keep_alive_connection_over_tls() {
 fn hsts_is_sent_over_tls() {
     let told = |server: Running, limits: Limits, paths: &[&str]| {
         let server = over_tls(server, limits);
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        let one = runtime.block_on(async {
+        let one = block_on(async {
             let sender = second(server.addr, &mut h2::client::Builder::new()).await;
             let mut sender = sender.ready().await.unwrap();
             let (answer, _) = sender.send_request(asks("GET", "/healthz", "localhost"), true).unwrap();
             answer.await.unwrap().headers().get("strict-transport-security").map(|v| v.to_str().unwrap().to_owned())
         });
-        let name = ServerName::try_from("localhost").unwrap();
-        let session = ClientConnection::new(trusting(&[b"http/1.1"]), name).unwrap();
-        let mut stream = StreamOwned::new(session, TcpStream::connect(server.addr).unwrap());
+        let mut stream = first(server.addr);
         for path in paths {
             write!(stream, "GET {path} HTTP/1.1\r\nhost: localhost\r\n").unwrap();
             stream.write_all(if path == paths.last().unwrap() { &b"connection: close\r\n\r\n"[..] } else { b"\r\n" }).unwrap();
@@ -160,25 +162,17 @@ fn hsts_is_sent_over_tls() {
 #[test]
 fn http_2_announces_the_configured_limit_of_streams() {
     let server = over_tls(Running::open(), Limits { streams_at_once: 3, ..Limits::default() });
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
+    block_on(async {
         let sender = second(server.addr, &mut h2::client::Builder::new()).await;
         assert_eq!(fetch(&sender, asks("GET", "/healthz", "localhost")).await.0, 200);
         assert_eq!(sender.current_max_send_streams(), 3);
     });
 }
 
-/// A photo padded beyond the limit of a body.
-fn large(mut photo: Vec<u8>) -> Vec<u8> {
-    photo.resize(Limits::BODY + 1, 7);
-    photo
-}
-
 #[test]
 fn many_requests_at_a_time_over_http_2() {
     let (server, id, atlas) = start(Limits::default());
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
+    block_on(async {
         let sender = second(server.addr, &mut h2::client::Builder::new()).await;
         let path = format!("/v1/photos/{id}/atlas");
         // a client knows how many requests the server takes at a time from its first answer on
@@ -198,8 +192,8 @@ fn many_requests_at_a_time_over_http_2() {
             let _ = body.send_data(photo, true);
             whole(answer).await.map(|(head, body)| (head.status().as_u16(), body))
         };
-        let (photo, large) = (Bytes::from(jpeg(2)), Bytes::from(large(jpeg(3))));
-        let (taken, refused) = tokio::join!(upload(photo, "/v1/photos"), upload(large, "/v1/photos"));
+        let large = [jpeg(3), vec![7; Limits::BODY]].concat();
+        let (taken, refused) = tokio::join!(upload(jpeg(2).into(), "/v1/photos"), upload(large.into(), "/v1/photos"));
         let (status, body) = taken.unwrap();
         assert_eq!(status, 202, "{}", String::from_utf8_lossy(&body));
         assert_eq!(refused.map_or_else(|e| panic!("{e}"), |(status, _)| status), 413);
@@ -223,7 +217,7 @@ fn the_program_publishes_and_watches_a_room_over_tls() {
     let _publisher = program(&["publish", frames.path().to_str().unwrap(), "--room", &room, "--times", "1000000"]);
     let seconds = (0..100).find_map(|_| {
         // the publisher may not have started yet
-        let lines = program(&["watch", &room, "--seconds", "2", "--json"]).printed();
+        let lines = std::io::read_to_string(program(&["watch", &room, "--seconds", "2", "--json"]).0.stdout.take().unwrap()).unwrap();
         (!lines.is_empty()).then_some(lines)
     });
     let frames: u64 = seconds
@@ -257,8 +251,7 @@ fn stalled_silent_and_plain_text_connections_are_closed() {
         let ended = stream.read_to_end(&mut Vec::new());
         assert!(ended.is_ok_and(|n| n < 100));
     }
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
+    block_on(async {
         let small = atlas.len() as u32 / 4;
         let mut sender = second(server.addr, h2::client::Builder::new().initial_window_size(small)).await.ready().await.unwrap();
         let (answer, _) = sender.send_request(asks("GET", &format!("/v1/photos/{id}/atlas"), "localhost"), true).unwrap();
@@ -282,8 +275,7 @@ fn stalled_silent_and_plain_text_connections_are_closed() {
         }
     });
     wait_until("no connection is left", || {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        let connections = runtime.block_on(async {
+        let connections = block_on(async {
             let sender = second(server.addr, &mut h2::client::Builder::new()).await;
             metric(&sender, "tmpi_connections").await
         });
@@ -301,8 +293,7 @@ fn unread_answers_share_a_bound_of_memory_and_others_are_served_meanwhile() {
     let (server, id, atlas) = start_with(&noise(), Limits::default());
     assert!(atlas.len() > 256 << 10, "a file that is read in pieces: {} bytes", atlas.len());
     let path = format!("/v1/photos/{id}/atlas");
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
+    block_on(async {
         let reader = second(server.addr, &mut h2::client::Builder::new()).await;
         let mut unread = Vec::new();
         for _ in 0..CONNECTIONS {

@@ -115,8 +115,7 @@ fn an_upload_is_one_trace_of_request_job_and_stages() {
     assert!(stages.last().unwrap().end_time_unix_nano <= job.end_time_unix_nano);
     // the job of a photo that is made again belongs to the request that asked for it
     let patch = br#"{"strokes": [{"points": [[0.5, 0.5]], "radius": 0.1, "to": 0}]}"#;
-    let json = [("content-type", "application/json")];
-    assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{id}/strokes"), &json, patch).status, 202);
+    assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{id}/strokes"), &[JSON], patch).status, 202);
     let (patched, jobs) = (&collector.wait("PATCH /v1/photos/{id}/strokes", 1)[0], collector.wait("job", 2));
     assert_eq!(jobs[1].parent_span_id, patched.span_id);
     // work that waits for a slot has its own span
@@ -141,9 +140,7 @@ fn a_clients_trace_continues_after_a_restart() {
     let accepts = Running::configured(Gate::new(0), |config| Config { traces, limits, ..config });
     let upload = |seed, sampled| {
         let parent = format!("00-{trace}-{outer}-{sampled}");
-        let answer = request(accepts.addr, "POST", "/v1/photos", &[("traceparent", &parent)], &jpeg(seed));
-        assert_eq!(answer.status, 202);
-        id(&answer.json())
+        id(&request(accepts.addr, "POST", "/v1/photos", &[("traceparent", &parent)], &jpeg(seed)).is(202).json())
     };
     let (told, untold) = (upload(1, "01"), upload(2, "00"));
     let worker = accepts.restarted();
@@ -216,10 +213,9 @@ fn the_program_sends_stages_of_child_processes_and_flushes_spans_when_it_stops()
         } else {
             (Vec::new(), vec![("OTEL_EXPORTER_OTLP_ENDPOINT", url), ("OTEL_SERVICE_NAME", "attic")])
         };
-        let server = Process::start_in(dir.path(), &arguments, &environment);
-        let answer = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &depth_map())]);
-        assert_eq!(answer.status, 202);
-        let photo = format!("/v1/photos/{}", answer.json()["id"].as_str().unwrap());
+        let server = Process::start_at(0, dir.path(), &arguments, &environment);
+        let photo = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &depth_map())]).is(202).json();
+        let photo = format!("/v1/photos/{}", id(&photo));
         wait_until("it is made", || get(server.addr, &photo).json()["state"] == "done");
         assert_eq!(get(server.addr, "/v1/photos").status, 200);
         let (status, log) = server.terminate();

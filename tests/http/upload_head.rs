@@ -47,11 +47,8 @@ fn claims(format: PictureFormat, side: u16) -> Vec<u8> {
 
 /// Announces a body of 20 MB to `target`, and sends only `first`.
 fn stalled(addr: SocketAddr, target: &str, content_type: &str, first: &[u8]) -> Response {
-    let mut connection = Connection::open(addr);
     let head = format!("POST {target} HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: 20000000\r\n\r\n");
-    connection.raw().write_all(head.as_bytes()).unwrap();
-    connection.raw().write_all(first).unwrap();
-    connection.receive("POST").unwrap()
+    send_raw(addr, &[head.as_bytes(), first].concat())
 }
 
 /// A form without its closing boundary.

@@ -7,8 +7,7 @@ fn raw_and_multipart_in_every_format() {
     let server = Running::open();
     for format in PictureFormat::ALL {
         let photo = picture(1, format);
-        let raw = request(server.addr, "POST", "/v1/photos", &[("content-type", format.media_type())], &photo);
-        assert_eq!(raw.status, 202);
+        let raw = request(server.addr, "POST", "/v1/photos", &[("content-type", format.media_type())], &photo).is(202);
         let state = raw.json();
         let id = state["id"].as_str().unwrap();
         assert_eq!(raw.header("location"), Some(format!("/v1/photos/{id}").as_str()));
@@ -21,8 +20,7 @@ fn raw_and_multipart_in_every_format() {
         assert!(done["atlas_bytes"].as_u64().unwrap() > 0 && done["finished"].is_string());
     }
     // a client without a useful content type, such as `curl --data-binary`
-    let plain = request(server.addr, "POST", "/v1/photos", &[("content-type", "application/x-www-form-urlencoded")], &jpeg(9));
-    assert_eq!(plain.status, 202);
+    request(server.addr, "POST", "/v1/photos", &[("content-type", "application/x-www-form-urlencoded")], &jpeg(9)).is(202);
 }
 
 #[test]
@@ -33,9 +31,8 @@ fn waiting_for_the_result() {
     assert_eq!((done.status, done.json()["state"].as_str()), (201, Some("done")));
     assert_eq!(done.header("preference-applied"), Some("wait=20"));
     assert!(done.header("location").is_some());
-    let late = request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=0")], &jpeg(2));
-    assert_eq!(late.status, 202);
-    assert_ne!(late.json()["state"], "done");
+    let late = request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=0")], &jpeg(2)).is(202).json();
+    assert_ne!(late["state"], "done");
     gate.open(1);
 }
 
@@ -103,17 +100,8 @@ fn a_failed_photo_says_why_and_the_same_upload_tries_again() {
     assert_eq!((state["state"].as_str(), state["problem"]["status"].as_u64()), (Some("failed"), Some(422)));
     get(server.addr, &format!("/v1/photos/{id}/atlas")).problem(422);
 
-    let gate = Gate::new(9);
-    let flaky = {
-        let gate = gate.clone();
-        Does(move |photo: &[u8], sink: &dyn Sink| {
-            if gate.finished.fetch_add(1, Ordering::SeqCst) == 0 {
-                return Err(Fault::from(MakeError::Photo(tmpi_pipeline::photo::PhotoError::Broken("the first time".into()))));
-            }
-            Maker::make(&pipeline(), photo, None, &Options::default(), sink)
-        })
-    };
-    let server = Running::with(Limits::default(), Arc::new(flaky));
+    let broken = MakeError::Photo(tmpi_pipeline::photo::PhotoError::Broken("the first time".into()));
+    let server = Running::with(Limits::default(), failing(vec![broken.into()]));
     let id = server.upload(&jpeg(1));
     server.wait(&id, "failed");
     assert_eq!(server.upload(&jpeg(1)), id);
@@ -158,7 +146,7 @@ fn the_list_has_pages_newest_first() {
     ids.reverse();
     let page = |path: &str| {
         let page = get(server.addr, path).json();
-        let ids: Vec<String> = page["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect();
+        let ids: Vec<String> = page["photos"].as_array().unwrap().iter().map(id).collect();
         (ids, page["next"].as_str().map(str::to_owned))
     };
     // uploads of the same millisecond are ordered by id
@@ -212,7 +200,7 @@ fn finished_failed_and_queued_photos_survive_a_restart() {
     let server = Running::with(limits(), gate.clone());
     let done = server.upload(&jpeg(1));
     let before = server.wait(&done, "done");
-    let failed = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]).json()["id"].as_str().unwrap().to_owned();
+    let failed = id(&post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]).json());
     gate.open(1);
     server.wait(&failed, "failed");
     let atlas = get(server.addr, &format!("/v1/photos/{done}/atlas"));

@@ -6,11 +6,11 @@ use std::sync::atomic::AtomicBool;
 use tmpi::server::{AddressPolicy, Problem};
 use tmpi_testing::Answer;
 
+use crate::key_fixture;
 use crate::live::{Publisher, frame};
 use crate::prelude::*;
 use crate::receiver::{Delivery as _, Receiver};
 
-const JSON: (&str, &str) = ("content-type", "application/json");
 /// Retries of which even an unlucky delivery does not use up all.
 const MANY: usize = 60;
 
@@ -30,8 +30,7 @@ fn send(server: &Running, method: &str, path: &str, body: &Value) -> Response {
 
 /// Adds a webhook; returns its id and secret.
 fn add(server: &Running, fields: &Value) -> (String, String) {
-    let answer = send(server, "POST", "/v1/webhooks", fields);
-    assert_eq!(answer.status, 201, "{}", String::from_utf8_lossy(&answer.body));
+    let answer = send(server, "POST", "/v1/webhooks", fields).is(201);
     let added = answer.json();
     let text = |name: &str| added[name].as_str().unwrap().to_owned();
     assert_eq!(answer.header("location"), Some(format!("/v1/webhooks/{}", text("id")).as_str()));
@@ -40,9 +39,8 @@ fn add(server: &Running, fields: &Value) -> (String, String) {
 }
 
 fn ping(server: &Running, webhook: &str) -> String {
-    let answer = send(server, "POST", &format!("/v1/webhooks/{webhook}/test"), &Value::Null);
-    assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
-    answer.json()["delivery"].as_str().unwrap().to_owned()
+    let told = send(server, "POST", &format!("/v1/webhooks/{webhook}/test"), &Value::Null).is(202).json();
+    told["delivery"].as_str().unwrap().to_owned()
 }
 
 /// All deliveries of a webhook, newest first, page by page.
@@ -81,10 +79,8 @@ fn the_life_of_a_photo_is_told_and_signed() {
 
 #[test]
 fn a_failed_photo_is_told_with_its_problem() {
-    let fails = Does(|_: &[u8], _: &dyn Sink| {
-        Err(Fault::Photo(Problem::new(axum::http::StatusCode::UNPROCESSABLE_ENTITY, "broken-photo", "it is torn")))
-    });
-    let server = Running::configured(Arc::new(fails), |config| Config { webhook_addresses: AddressPolicy::Any, ..config });
+    let torn = Fault::Photo(Problem::new(axum::http::StatusCode::UNPROCESSABLE_ENTITY, "broken-photo", "it is torn"));
+    let server = Running::configured(failing(vec![torn]), |config| Config { webhook_addresses: AddressPolicy::Any, ..config });
     let (failed, done) = (Receiver::start(|_| Answer::of(200)), Receiver::start(|_| Answer::of(200)));
     add(&server, &json!({ "url": failed.url, "events": ["photo.failed"] }));
     let (other, _) = add(&server, &json!({ "url": done.url, "events": ["photo.done"] }));
@@ -323,4 +319,55 @@ fn a_room_is_told_when_it_starts_and_ends() {
     assert_eq!(receiver.wait("room.ended", 1)[0].json()["data"]["room"], "attic");
     let all = receiver.got();
     assert_eq!(all.len(), 2, "{all:?}");
+}
+
+#[test]
+fn owners_are_told_of_their_photos_and_administrators_of_all() {
+    let server =
+        Running::configured(Arc::new(pipeline()), |config| Config { private: true, webhook_addresses: AddressPolicy::Any, ..config });
+    let send = |who: &str, method: &str, path: &str, body: &Value| {
+        let body = if body.is_null() { String::new() } else { body.to_string() };
+        ask(&server, method, path, &[("authorization", who), JSON], body.as_bytes())
+    };
+    let add = |who: &str, url: &str| id(&send(who, "POST", "/v1/webhooks", &json!({ "url": url })).is(201).json());
+    let key = |name: &str, scopes: &[Scope]| key_fixture::add(server.data(), name, scopes);
+    let (ann, site, boss) = (secret("a"), key("site", &[Scope::Upload]), key("boss", &[Scope::Admin]));
+    let receivers: Vec<Receiver> = (0..3).map(|_| Receiver::start(|_| Answer::of(200))).collect();
+    let [of_ann, of_site, of_boss] = [(&ann, 0), (&site, 1), (&boss, 2)].map(|(who, n)| add(who, &receivers[n].url));
+    let (photo, other) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&site), 2)));
+    receivers[2].wait("photo.done", 2);
+    receivers[1].wait("photo.done", 1);
+    receivers[0].wait("photo.done", 1);
+    let photos = |receiver: &Receiver| {
+        let mut all: Vec<String> = receiver.got().iter().map(|got| id(&got.json()["data"])).collect();
+        all.sort();
+        all
+    };
+    let mut both = vec![photo.clone(), other.clone()];
+    both.sort();
+    assert_eq!([&receivers[0], &receivers[1], &receivers[2]].map(photos), [vec![photo], vec![other], both]);
+    let listed = |who: &str| {
+        let list = send(who, "GET", "/v1/webhooks", &Value::Null).json();
+        list["webhooks"].as_array().unwrap().iter().map(id).collect::<Vec<_>>()
+    };
+    assert_eq!((listed(&ann), listed(&site)), (vec![of_ann.clone()], vec![of_site.clone()]));
+    assert_eq!(listed(&boss), [of_ann.clone(), of_site.clone(), of_boss.clone()]);
+    for (method, path, body) in [
+        ("GET", String::new(), Value::Null),
+        ("PATCH", String::new(), json!({ "enabled": false })),
+        ("DELETE", String::new(), Value::Null),
+        ("GET", "/deliveries".into(), Value::Null),
+        ("POST", "/test".into(), Value::Null),
+    ] {
+        for (who, webhook) in [(&ann, &of_site), (&ann, &of_boss), (&site, &of_ann)] {
+            send(who, method, &format!("/v1/webhooks/{webhook}{path}"), &body).problem(404);
+        }
+    }
+    // an administrator manages those of others
+    assert_eq!(send(&boss, "DELETE", &format!("/v1/webhooks/{of_ann}"), &Value::Null).status, 204);
+    assert!(listed(&ann).is_empty());
+    let refused = ask(&server, "GET", "/v1/webhooks", &[], &[]).problem(403);
+    assert_eq!(refused["type"], "urn:tmpi:problem:no-owner");
+    let reads = key("site", &[Scope::Read]);
+    assert_eq!(send(&reads, "GET", "/v1/webhooks", &Value::Null).problem(403)["type"], "urn:tmpi:problem:scope");
 }

@@ -8,11 +8,8 @@ use std::error::Error;
 use std::io::{Read, Write};
 
 use sha2::{Digest, Sha256};
-use tmpi_core::container::decode;
+use tmpi_core::container::{Piece, decode};
 use tmpi_decoder::{Decoder, Output};
-
-/// Number of integers per piece.
-const PIECE: usize = 7;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
@@ -23,7 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if what == "pixels" {
         return Ok(std::io::stdout().write_all(&rgba)?);
     }
-    let mut decoder = Decoder::new();
+    let mut decoder = Decoder::default();
     decoder.room(bytes.len()).copy_from_slice(&bytes);
     decoder.open();
     decoder.room(rgba.len()).copy_from_slice(&rgba);
@@ -35,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut rest = strips.as_slice();
     while let Some((head, after)) = rest.split_at_checked(12) {
         let [width, height, count] = [0, 4, 8].map(|at| head[at..].first_chunk().map_or(0, |n| u32::from_le_bytes(*n)) as usize);
-        let (pieces, after) = after.split_at_checked(count * PIECE * 4).ok_or("the strips are cut off")?;
+        let (pieces, after) = after.split_at_checked(count * Piece::NUMBERS * 4).ok_or("the strips are cut off")?;
         decoder.room(pieces.len()).copy_from_slice(pieces);
         decoder.strip((width, height), false)?;
         hash.update(decoder.output(Output::Strip as u32));

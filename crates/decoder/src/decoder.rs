@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use tmpi_core::container::{PhotoRows, Piece, TileLayers, decode_rows, strip};
-use tmpi_core::{BorderColours, Class, Photo, Texels};
+use tmpi_core::{BorderColours, Class, Photo};
 
 /// Results that can be read.
 #[derive(Clone, Copy, Debug)]
@@ -29,6 +29,7 @@ pub enum Output {
 const COLUMNS: usize = 10;
 
 /// One container, or one band of its tiles.
+#[derive(Default)]
 pub struct Decoder {
     input: Vec<u8>,
     container: Vec<u8>,
@@ -44,23 +45,6 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder without a container.
-    pub const fn new() -> Self {
-        let photo = PhotoRows { width: 0, height: 0, top: 0, rgb: Vec::new() };
-        let texels = Texels { class: Vec::new(), alpha: Vec::new(), hidden: Vec::new() };
-        Self {
-            input: Vec::new(),
-            container: Vec::new(),
-            photo,
-            beyond: None,
-            hidden: None,
-            part: TileLayers { layers: Vec::new(), texels },
-            numbers: Vec::new(),
-            strip: Vec::new(),
-            text: String::new(),
-        }
-    }
-
     /// The input buffer of the next call, resized to `length` bytes.
     pub fn room(&mut self, length: usize) -> &mut [u8] {
         self.input.resize(length, 0);
@@ -138,11 +122,5 @@ impl Decoder {
             Some(Output::Strip) => self.strip.as_flattened(),
             Some(Output::Panic) | None => &[],
         }
-    }
-}
-
-impl Default for Decoder {
-    fn default() -> Self {
-        Self::new()
     }
 }

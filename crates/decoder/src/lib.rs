@@ -3,7 +3,9 @@
 //! An instance decodes one container, or one band of its tiles. The caller writes the input of a call to the buffer at [`tmpi_room`], and
 //! reads results at [`tmpi_output`], of length [`tmpi_output_length`]. No function takes a pointer, so only their exported names are
 //! unsafe. A failed call returns −1 and leaves an error text; a panic does the same, and ends the instance.
+#![allow(unsafe_code, reason = "exports C symbols")]
 
+#[deny(unsafe_code)]
 mod decoder;
 
 use std::cell::RefCell;
@@ -11,14 +13,14 @@ use std::cell::RefCell;
 pub use decoder::{Decoder, Output};
 
 thread_local! {
-    static DECODER: RefCell<Decoder> = const { RefCell::new(Decoder::new()) };
+    static DECODER: RefCell<Decoder> = RefCell::new(Decoder::default());
+    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
 /// The return value of a failed call.
 const FAILED: i32 = -1;
 
 /// Allocates the input buffer of the next call; returns its address.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
     std::panic::set_hook(Box::new(|panic| {
@@ -28,12 +30,7 @@ pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
     DECODER.with_borrow_mut(|decoder| decoder.room(length).as_mut_ptr())
 }
 
-thread_local! {
-    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
-}
-
 /// Takes the input buffer as the container. The bytes of its pictures may be replaced by zeros.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_open() -> i32 {
     call(|decoder| {
@@ -44,7 +41,6 @@ pub extern "C" fn tmpi_open() -> i32 {
 
 /// Takes the input buffer as rows of a picture of `width` × `height` pixels, RGBA. The first call starts at row `top`; later calls
 /// continue. `kind` is 0 for the photo, 1 for the picture of hidden colours.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_picture(kind: u32, width: u32, height: u32, top: u32) -> i32 {
     call(|decoder| {
@@ -54,7 +50,6 @@ pub extern "C" fn tmpi_picture(kind: u32, width: u32, height: u32, top: u32) -> 
 }
 
 /// Decodes rows of tiles from `first` to before `end`.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_decode(first: u32, end: u32) -> i32 {
     call(|decoder| decoder.decode(first..end))
@@ -62,21 +57,18 @@ pub extern "C" fn tmpi_decode(first: u32, end: u32) -> i32 {
 
 /// Renders the pieces in the input buffer, seven integers each (see [`tmpi_core::container::Piece`]), into a strip of a texture page: RGBA
 /// with straight alpha if `straight` is 1, otherwise premultiplied.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_strip(width: u32, height: u32, straight: u32) -> i32 {
     call(|decoder| decoder.strip((width as usize, height as usize), straight == 1))
 }
 
 /// Address of a result, by the number of an [`Output`]. It is valid until the next call that changes the result.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output(what: u32) -> *const u8 {
     output(what, <[u8]>::as_ptr)
 }
 
 /// Length of a result in bytes.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output_length(what: u32) -> usize {
     output(what, <[u8]>::len)

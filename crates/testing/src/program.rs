@@ -1,7 +1,8 @@
 //! Runs built programs in a temporary folder.
 
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 
 use image::{ImageBuffer, ImageFormat, Luma, Rgb, RgbImage};
 use serde_json::Value;
@@ -69,6 +70,26 @@ pub fn box_before_a_wall() -> RgbImage {
         let texture = ((x * 7 + y * 13) % 32) as u8;
         if is_box(x, y) { Rgb([200 + texture, 120 + texture, 60]) } else { Rgb([40, 90 + texture, 160 + texture]) }
     })
+}
+
+/// A process that does not outlive its test.
+#[derive(Debug)]
+pub struct Killed(pub Child);
+
+impl Killed {
+    /// The first line that it writes to standard output, a pipe. A server writes its address there.
+    pub fn first_line(&mut self) -> String {
+        let mut line = String::new();
+        BufReader::new(self.0.stdout.as_mut().expect("a pipe")).read_line(&mut line).expect("text");
+        line.trim().to_owned()
+    }
+}
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }
 
 /// Result of a run.

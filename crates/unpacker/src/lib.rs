@@ -2,6 +2,7 @@
 //! functions that `static/decode/unpack.js` calls. Pages fetch it only for containers with such a section.
 //!
 //! An instance unpacks one container. As in `tmpi-decoder`, a failed call returns −1 and leaves an error text; a panic ends the instance.
+#![allow(unsafe_code, reason = "exports C symbols")]
 
 use std::cell::RefCell;
 
@@ -30,7 +31,6 @@ thread_local! {
 }
 
 /// Allocates the input buffer for a container of this length; returns its address.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
     std::panic::set_hook(Box::new(|panic| PANIC.set(panic.to_string())));
@@ -41,7 +41,6 @@ pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
 }
 
 /// Unpacks the container.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_unpack() -> i32 {
     match unpacked(&CONTAINER.take()) {
@@ -57,14 +56,12 @@ pub extern "C" fn tmpi_unpack() -> i32 {
 }
 
 /// Address of a result, by the number of an [`Output`]. It is valid until the next call that changes the result.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output(what: u32) -> *const u8 {
     output(what, <[u8]>::as_ptr)
 }
 
 /// Length of a result in bytes.
-#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output_length(what: u32) -> usize {
     output(what, <[u8]>::len)

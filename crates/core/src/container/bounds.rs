@@ -1,13 +1,9 @@
 //! Limits that readers enforce, whatever a container claims; writers enforce the same limits.
 
-use super::{ContainerError, columns};
+use super::{ContainerError, MAX_PIXELS, MAX_SIDE, columns};
 use crate::layers::work_of;
 use crate::{Grid, Intrinsics, Tile, ViewBox};
 
-/// Maximum number of pixels in the photo.
-pub const PIXELS: u64 = super::MAX_PIXELS;
-/// Maximum width and height of the photo.
-pub const SIDE: u32 = super::MAX_SIDE;
 /// Maximum number of planes in all tiles.
 pub const PLANES: usize = 4_000_000;
 /// Maximum number of pixels and blocks read to derive the texels. A 50-megapixel photo with four planes per tile reads about 6e9, of which
@@ -29,9 +25,12 @@ fn max_work(grid: &Grid) -> u64 {
 
 /// Checks a grid, intrinsics and view box.
 pub fn frame(grid: &Grid, k: &Intrinsics, v: &ViewBox) -> Result<(), ContainerError> {
-    let sides = 1..=SIDE;
-    if !sides.contains(&grid.width) || !sides.contains(&grid.height) || u64::from(grid.width) * u64::from(grid.height) > PIXELS {
-        return Err(ContainerError::Bound(format!("a photo of {}×{}, over {PIXELS} pixels or {SIDE} a side", grid.width, grid.height)));
+    let sides = 1..=MAX_SIDE;
+    if !sides.contains(&grid.width) || !sides.contains(&grid.height) || u64::from(grid.width) * u64::from(grid.height) > MAX_PIXELS {
+        return Err(ContainerError::Bound(format!(
+            "a photo of {}×{}, over {MAX_PIXELS} pixels or {MAX_SIDE} a side",
+            grid.width, grid.height
+        )));
     }
     // with tiles that overlap by more than half, labels would be many times as large as the photo
     if !sides.contains(&grid.size) || grid.stride < grid.size.div_ceil(2) || grid.stride > grid.size {
@@ -121,13 +120,13 @@ mod tests {
             let grid = Grid { width, height, size, stride };
             frame(&grid, &Intrinsics::centred(width.max(1), height.max(1), 50.0), &ViewBox::cube(0.03)).is_ok()
         };
-        let (wide, high) = (10_000, (PIXELS / 10_000) as u32);
-        assert_eq!(u64::from(wide) * u64::from(high), PIXELS);
+        let (wide, high) = (10_000, (MAX_PIXELS / 10_000) as u32);
+        assert_eq!(u64::from(wide) * u64::from(high), MAX_PIXELS);
         assert!(at(wide, high, 64, 56) && !at(wide, high + 1, 64, 56));
-        assert!(at(SIDE, 1, 64, 56) && !at(SIDE + 1, 1, 64, 56) && at(1, SIDE, 64, 56) && !at(1, SIDE + 1, 64, 56));
+        assert!(at(MAX_SIDE, 1, 64, 56) && !at(MAX_SIDE + 1, 1, 64, 56) && at(1, MAX_SIDE, 64, 56) && !at(1, MAX_SIDE + 1, 64, 56));
         assert!(!at(0, 1, 64, 56) && !at(1, 0, 64, 56));
         assert!(at(100, 100, 64, 32) && !at(100, 100, 64, 31) && at(100, 100, 64, 64) && !at(100, 100, 64, 65));
-        assert!(at(100, 100, SIDE, SIDE) && !at(100, 100, SIDE + 1, SIDE + 1) && !at(100, 100, 0, 0));
+        assert!(at(100, 100, MAX_SIDE, MAX_SIDE) && !at(100, 100, MAX_SIDE + 1, MAX_SIDE + 1) && !at(100, 100, 0, 0));
     }
 
     #[test]

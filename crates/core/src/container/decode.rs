@@ -249,7 +249,7 @@ fn plane_section(index: &Index, body: &[u8], grid: &Grid, count: usize) -> Resul
     let want = columns::bytes(grid.tiles() as usize, count);
     match find(index, Kind::Planes).filter(|s| s.codec() == Codec::Range) {
         Some(s) if s.raw_length != want as u64 => Err(ContainerError::broken("planes: wrong length")),
-        Some(s) => planes::decode(planes::Layout::of(grid, count), range(s, body)?),
+        Some(s) => planes::decode(&mut planes::Models::new(), planes::Layout::of(grid, count), range(s, body)?),
         // packed with zstd: repetitive planes
         None => unpack(index, body, Kind::Planes, want),
     }

@@ -85,7 +85,7 @@ pub fn encode_in(
     file.add(Kind::Photo, photo_file.format.codec(), photo_file.bytes.clone(), 0);
     let planes = columns::write(&geometry.tiles);
     let layout = planes::Layout::of(&geometry.grid, geometry.planes());
-    let coded = planes::encode(layout, &planes)?;
+    let coded = planes::encode(&mut planes::Models::new(), layout, &planes)?;
     // zstd wins if planes repeat from tile to tile, as in drawings
     if packed(&planes)?.len() < coded.len() {
         file.add_packed(Kind::Planes, &planes)?;
@@ -101,7 +101,8 @@ pub fn encode_in(
     let (mut blocks, mut per_row) = (0, 0);
     if let Some(how) = optional.hidden {
         blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
-        per_row = hidden::columns_for(blocks);
+        // an approximately square picture
+        per_row = (blocks as f64).sqrt().ceil() as usize;
         if blocks > 0 {
             let (w, h, rgb) = hidden::paint(&scene.layers, &scene.texels.class, &scene.texels.hidden, blocks, per_row);
             let (codec, picture) = match how {

@@ -19,11 +19,6 @@ pub fn size(bytes: &[u8]) -> Result<Size, ContainerError> {
     Ok(Size { pixels: u64::from(grid.width) * u64::from(grid.height), texels: planes * tile })
 }
 
-/// A grid like that of photos.
-pub fn grid(width: u32, height: u32, size: u32) -> Grid {
-    Grid::new(width, height, size)
-}
-
 /// Decodes labels, then encodes and decodes them again.
 pub fn labels(grid: &Grid, counts: &[u8], stream: &[u8]) {
     let Ok(read) = labels::decode(grid, counts, stream) else { return };
@@ -46,9 +41,10 @@ pub fn planes(grid: &Grid, count: usize, data: &[u8]) {
     }
     let layout = coded::Layout::of(grid, count);
     // the same bytes as an entropy-coded stream
-    if let Ok(raw) = coded::decode(layout, data) {
+    if let Ok(raw) = coded::decode(&mut coded::Models::new(), layout, data) {
         assert!(columns::read(grid, count, &raw).is_ok(), "decoded planes cannot be parsed");
-        let again = coded::encode(layout, &raw).and_then(|data| coded::decode(layout, &data));
+        let again = coded::encode(&mut coded::Models::new(), layout, &raw);
+        let again = again.and_then(|data| coded::decode(&mut coded::Models::new(), layout, &data));
         assert!(again.is_ok_and(|a| a == raw), "encoded planes decode differently");
     }
 }

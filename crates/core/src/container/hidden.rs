@@ -54,18 +54,12 @@ pub fn walk(layers: &[Layer], class: &[u8], mut place: impl FnMut(usize, usize, 
     blocks
 }
 
-/// Number of blocks per row for an approximately square picture.
-#[cfg(feature = "write")]
-pub fn columns_for(blocks: usize) -> usize {
-    (blocks as f64).sqrt().ceil() as usize
-}
-
 /// Paints the blocks. Pixels without a hidden texel smoothly continue those with one, which is cheapest for a codec.
 #[cfg(feature = "write")]
 pub fn paint(layers: &[Layer], class: &[u8], hidden: &[[u8; 3]], blocks: usize, columns: usize) -> (u32, u32, Vec<u8>) {
     let (w, h) = (columns * BLOCK as usize, blocks.div_ceil(columns.max(1)) * BLOCK as usize);
     let mut rgb = vec![128u8; w * h * 3];
-    let mut current = (usize::MAX, Patch::default());
+    let mut current = (usize::MAX, Patch::EMPTY);
     let close = |rgb: &mut Vec<u8>, block: usize, patch: &mut Patch| {
         if block == usize::MAX {
             return;
@@ -79,7 +73,7 @@ pub fn paint(layers: &[Layer], class: &[u8], hidden: &[[u8; 3]], blocks: usize, 
     walk(layers, class, |block, place, index| {
         if block != current.0 {
             close(&mut rgb, current.0, &mut current.1);
-            current = (block, Patch::default());
+            current = (block, Patch::EMPTY);
         }
         current.1.texels[place] = hidden[index].map(f32::from);
         current.1.known |= 1 << place;
@@ -97,14 +91,9 @@ struct Patch {
 }
 
 #[cfg(feature = "write")]
-impl Default for Patch {
-    fn default() -> Self {
-        Self { texels: [[0.0; 3]; 64], known: 0 }
-    }
-}
-
-#[cfg(feature = "write")]
 impl Patch {
+    /// A block without colours.
+    const EMPTY: Self = Self { texels: [[0.0; 3]; 64], known: 0 };
     /// Number of relaxation sweeps that smooth the filled texels.
     const SWEEPS: usize = 6;
 

@@ -89,7 +89,7 @@ pub fn decode(grid: &Grid, counts: &[u8], bands: &[Band], data: &[u8], wanted: &
         if crc32(data) != band.check {
             return Err(ContainerError::broken(format!("labels: band {} of {} is damaged", i + 1, bands.len())));
         }
-        labels::decode_into(&part.grid, part.counts, data, own)
+        labels::decode_by(&mut labels::Models::new(), &part.grid, part.counts, data, own)
     })?;
     Ok(labels)
 }

@@ -69,16 +69,11 @@ pub fn encode_by(models: &mut Models, grid: &Grid, counts: &[u8], labels: &[u8])
 pub fn decode(grid: &Grid, counts: &[u8], data: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let total = (0..grid.tiles()).map(|t| grid.rect(t).area()).sum();
     let mut labels = vec![0; total];
-    decode_into(grid, counts, data, &mut labels)?;
+    decode_by(&mut Models::new(), grid, counts, data, &mut labels)?;
     Ok(labels)
 }
 
-/// Like [`decode`], into a slice of zeros with one entry for each pixel of each tile.
-pub fn decode_into(grid: &Grid, counts: &[u8], data: &[u8], labels: &mut [u8]) -> Result<(), ContainerError> {
-    decode_by(&mut Models::new(), grid, counts, data, labels)
-}
-
-/// Like [`decode_into`], with models that keep learning.
+/// Like [`decode`], into a slice of zeros with one entry for each pixel of each tile, and with models that keep learning.
 pub fn decode_by(models: &mut Models, grid: &Grid, counts: &[u8], data: &[u8], labels: &mut [u8]) -> Result<(), ContainerError> {
     if counts.len() != grid.tiles() as usize || counts.iter().any(|c| !(1..=TREE as u8).contains(c)) {
         return Err(ContainerError::broken("labels: a tile must have 1 to 64 of them"));

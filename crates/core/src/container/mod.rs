@@ -48,7 +48,7 @@ pub use picture_codec::{encode_jpeg, encode_lossless};
 pub use region::{RegionPhoto, TileRect, region};
 pub use select_sections::{SECTIONS, select};
 #[cfg(feature = "write")]
-pub use smaller_level::{LEVELS, level};
+pub use smaller_level::{LEVELS, encode_geometry, level};
 pub(crate) use texture_strip::texels;
 pub use texture_strip::{Piece, strip};
 #[cfg(feature = "unpack")]

@@ -33,9 +33,7 @@ impl PhotoFormat {
             Self::WebP => "image/webp",
         }
     }
-}
 
-impl PhotoFormat {
     /// The codec's name in the index.
     #[cfg(feature = "write")]
     pub(super) fn codec(self) -> Codec {

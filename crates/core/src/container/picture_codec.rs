@@ -3,7 +3,7 @@
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageFormat};
 
-use super::{ContainerError, EncodedPhoto, PhotoFormat, bounds};
+use super::{ContainerError, EncodedPhoto, MAX_PIXELS, MAX_SIDE, PhotoFormat};
 use crate::scene::Photo;
 
 /// Encodes 8-bit RGB as JPEG with a quality from 1 to 100.
@@ -54,7 +54,7 @@ impl EncodedPhoto {
     /// # Errors
     /// [`ContainerError::Broken`] if the file is damaged or exceeds a limit.
     pub fn decode(&self) -> Result<Photo, ContainerError> {
-        decode(self.format, &self.bytes, (bounds::SIDE, bounds::SIDE))
+        decode(self.format, &self.bytes, (MAX_SIDE, MAX_SIDE))
     }
 }
 
@@ -78,20 +78,11 @@ pub fn decode(format: PhotoFormat, bytes: &[u8], most: (u32, u32)) -> Result<Pho
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(most.0);
     limits.max_image_height = Some(most.1);
-    let pixels = (u64::from(most.0) * u64::from(most.1)).min(bounds::PIXELS);
+    let pixels = (u64::from(most.0) * u64::from(most.1)).min(MAX_PIXELS);
     limits.max_alloc = Some(MIN_DECODING + pixels * DECODING);
     reader.limits(limits);
     let rgb = reader.decode().map_err(broken)?.into_rgb8();
     let (width, height) = rgb.dimensions();
-    Ok(Photo { width, height, rgb: rgb.into_pixels() })
-}
-
-trait Chunks {
-    fn into_pixels(self) -> Vec<[u8; 3]>;
-}
-
-impl Chunks for image::RgbImage {
-    fn into_pixels(self) -> Vec<[u8; 3]> {
-        bytemuck::allocation::try_cast_vec(self.into_raw()).unwrap_or_else(|(_, raw)| raw.as_chunks().0.to_vec())
-    }
+    let rgb: Vec<[u8; 3]> = bytemuck::allocation::try_cast_vec(rgb.into_raw()).unwrap_or_else(|(_, raw)| raw.as_chunks().0.to_vec());
+    Ok(Photo { width, height, rgb })
 }

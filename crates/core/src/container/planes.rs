@@ -109,25 +109,15 @@ impl Models {
     }
 }
 
-/// Encodes the bytes of [`columns::write`].
-pub fn encode(layout: Layout, raw: &[u8]) -> Result<Vec<u8>, ContainerError> {
-    encode_by(&mut Models::new(), layout, raw)
-}
-
-/// Like [`encode`], with models that keep learning.
-pub fn encode_by(models: &mut Models, layout: Layout, raw: &[u8]) -> Result<Vec<u8>, ContainerError> {
+/// Encodes the bytes of [`columns::write`]. The models keep learning.
+pub fn encode(models: &mut Models, layout: Layout, raw: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let mut coder = Encoder::new();
     walk(models, layout, &mut raw.to_vec(), &mut coder)?;
     Ok(coder.finish())
 }
 
-/// Decodes to the bytes of [`columns::write`].
-pub fn decode(layout: Layout, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
-    decode_by(&mut Models::new(), layout, data)
-}
-
-/// Like [`decode`], with models that keep learning.
-pub fn decode_by(models: &mut Models, layout: Layout, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
+/// Decodes to the bytes of [`columns::write`]. The models keep learning.
+pub fn decode(models: &mut Models, layout: Layout, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let mut raw = vec![0; columns::bytes(layout.tiles, layout.planes)];
     walk(models, layout, &mut raw, &mut Decoder::new(data))?;
     Ok(raw)
@@ -214,18 +204,18 @@ mod tests {
                 put(&mut raw[counts.len()..], planes, i % 3, i / 3, *v);
             }
             let layout = Layout { columns, tiles: counts.len(), planes };
-            let data = encode(layout, &raw).unwrap();
+            let data = encode(&mut Models::new(), layout, &raw).unwrap();
             prop_assert!(data.len() <= raw.len() * 3 / 2 + 64);
-            prop_assert_eq!(&decode(layout, &data).unwrap(), &raw);
+            prop_assert_eq!(&decode(&mut Models::new(), layout, &data).unwrap(), &raw);
             for wrong in [planes - 1, planes + 1] {
                 let wrong = Layout { planes: wrong, ..layout };
-                prop_assert!(decode(wrong, &data).is_err());
+                prop_assert!(decode(&mut Models::new(), wrong, &data).is_err());
             }
         }
 
         #[test]
         fn any_bytes_give_counts_within_bounds_or_an_error(data in prop::collection::vec(any::<u8>(), 0..200), planes in 0usize..300) {
-            if let Ok(raw) = decode(Layout { columns: 3, tiles: 9, planes }, &data) {
+            if let Ok(raw) = decode(&mut Models::new(), Layout { columns: 3, tiles: 9, planes }, &data) {
                 prop_assert!(raw[..9].iter().all(|c| (1..=64).contains(&(c & !BACKGROUND))));
             }
         }

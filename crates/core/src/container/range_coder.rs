@@ -61,22 +61,6 @@ impl Encoder {
         Self { low: 0, range: u32::MAX, held: 0, ones: 0, started: false, out: Vec::new() }
     }
 
-    /// Writes one bit.
-    pub fn put(&mut self, model: &mut Bit, bit: bool) {
-        let split = (self.range >> 12) * model.share();
-        if bit {
-            self.range = split;
-        } else {
-            self.low += u64::from(split);
-            self.range -= split;
-        }
-        model.learn(bit);
-        while self.range < BOTTOM {
-            self.range <<= 8;
-            self.shift();
-        }
-    }
-
     fn shift(&mut self) {
         let carry = (self.low >> 32) as u8;
         let top = (self.low >> 24) as u8;
@@ -122,24 +106,6 @@ impl<'a> Decoder<'a> {
         d
     }
 
-    /// Reads one bit.
-    pub fn get(&mut self, model: &mut Bit) -> bool {
-        let split = (self.range >> 12) * model.share();
-        let bit = self.code < split;
-        if bit {
-            self.range = split;
-        } else {
-            self.code -= split;
-            self.range -= split;
-        }
-        model.learn(bit);
-        while self.range < BOTTOM {
-            self.range <<= 8;
-            self.shift();
-        }
-        bit
-    }
-
     fn shift(&mut self) {
         let (next, rest) = self.data.split_first().map_or((0, self.data), |(b, r)| (*b, r));
         self.data = rest;
@@ -155,14 +121,38 @@ pub trait Coder {
 
 impl Coder for Encoder {
     fn bit(&mut self, model: &mut Bit, bit: bool) -> bool {
-        self.put(model, bit);
+        let split = (self.range >> 12) * model.share();
+        if bit {
+            self.range = split;
+        } else {
+            self.low += u64::from(split);
+            self.range -= split;
+        }
+        model.learn(bit);
+        while self.range < BOTTOM {
+            self.range <<= 8;
+            self.shift();
+        }
         bit
     }
 }
 
 impl Coder for Decoder<'_> {
     fn bit(&mut self, model: &mut Bit, _: bool) -> bool {
-        self.get(model)
+        let split = (self.range >> 12) * model.share();
+        let bit = self.code < split;
+        if bit {
+            self.range = split;
+        } else {
+            self.code -= split;
+            self.range -= split;
+        }
+        model.learn(bit);
+        while self.range < BOTTOM {
+            self.range <<= 8;
+            self.shift();
+        }
+        bit
     }
 }
 
@@ -176,12 +166,12 @@ mod tests {
         fn bits_round_trip(bits in prop::collection::vec((0usize..4, prop::bool::weighted(0.03)), 0..4000), flip in any::<bool>()) {
             let mut models = [Bit::default(); 4];
             let mut e = Encoder::new();
-            for (m, b) in &bits { e.put(&mut models[*m], *b ^ flip); }
+            for (m, b) in &bits { e.bit(&mut models[*m], *b ^ flip); }
             let data = e.finish();
             prop_assert!(data.len() <= bits.len() / 2 + 8);
             let mut models = [Bit::default(); 4];
             let mut d = Decoder::new(&data);
-            for (m, b) in &bits { prop_assert_eq!(d.get(&mut models[*m]), *b ^ flip); }
+            for (m, b) in &bits { prop_assert_eq!(d.bit(&mut models[*m], false), *b ^ flip); }
         }
 
         /// Any bytes decode to bits, and encoding these bits gives a stream that decodes to the same bits.
@@ -189,11 +179,11 @@ mod tests {
         fn any_bytes_can_be_read(data in prop::collection::vec(any::<u8>(), 0..200)) {
             let read = |data: &[u8]| {
                 let (mut d, mut models) = (Decoder::new(data), [Bit::default(); 3]);
-                (0..5000).map(|i| d.get(&mut models[i % 3])).collect::<Vec<_>>()
+                (0..5000).map(|i| d.bit(&mut models[i % 3], false)).collect::<Vec<_>>()
             };
             let bits = read(&data);
             let (mut e, mut models) = (Encoder::new(), [Bit::default(); 3]);
-            for (i, bit) in bits.iter().enumerate() { e.put(&mut models[i % 3], *bit); }
+            for (i, bit) in bits.iter().enumerate() { e.bit(&mut models[i % 3], *bit); }
             prop_assert_eq!(read(&e.finish()), bits);
         }
     }

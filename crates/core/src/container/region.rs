@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use super::{ContainerError, decode, smaller_level};
+use super::{ContainerError, EncodedPhoto, decode, smaller_level};
 use crate::{Geometry, Grid, Intrinsics, Photo, Rect};
 
 /// A rectangle of whole tiles in a grid; neither range is empty.
@@ -74,10 +74,10 @@ pub fn region(container: &[u8], tiles: &TileRect, level: u8, as_: RegionPhoto) -
     let photo = crop(&photo, rect);
     let (photo, geometry, _) = smaller_level::smaller(photo, geometry, level);
     let photo_file = match as_ {
-        RegionPhoto::Jpeg => smaller_level::encode_photo(&photo)?,
-        RegionPhoto::Lossless => super::EncodedPhoto::lossless(&photo)?,
+        RegionPhoto::Jpeg => EncodedPhoto::from_photo(&photo, smaller_level::QUALITY)?,
+        RegionPhoto::Lossless => EncodedPhoto::lossless(&photo)?,
     };
-    smaller_level::encode_geometry(photo, &geometry, &photo_file)
+    smaller_level::encode_geometry(&geometry, &photo_file)
 }
 
 /// The rectangle of the tiles in pixels, and the geometry of these tiles.
@@ -159,10 +159,8 @@ mod tests {
         {
             assert_eq!(TileRect::over(&grid, Rect { x, y, w, h }), None);
         }
-        assert_eq!(
-            TileRect::over(&grid, Rect { x: 0, y: 0, w: 200, h: 100 }),
-            Some(TileRect { columns: 0..grid.columns(), rows: 0..grid.rows() })
-        );
+        let all = TileRect { columns: 0..grid.columns(), rows: 0..grid.rows() };
+        assert_eq!(TileRect::over(&grid, Rect { x: 0, y: 0, w: 200, h: 100 }), Some(all));
         // inside an overlap, either tile would do
         assert_eq!(TileRect::over(&grid, Rect { x: 57, y: 0, w: 3, h: 9 }), Some(TileRect { columns: 1..2, rows: 0..1 }));
         let whole = bare_in(None, &scene(70, 40));

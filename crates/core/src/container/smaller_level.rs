@@ -8,7 +8,7 @@ use crate::{Geometry, Grid, Intrinsics, Photo, Scene, Texels, Tile};
 /// The smallest level: an eighth of the size.
 pub const LEVELS: u8 = 3;
 /// JPEG quality of a level's photo.
-const QUALITY: u8 = 90;
+pub(super) const QUALITY: u8 = 90;
 
 /// Makes a container of `1 / 2^level` of the size. Stops at the smallest possible level: [`LEVELS`], or less if a tile's size or stride is
 /// odd, or if readers would reject so many planes for the size. Level 0 is the container itself.
@@ -21,8 +21,7 @@ pub fn level(container: &[u8], level: u8) -> Result<Vec<u8>, ContainerError> {
     if done == 0 {
         return Ok(container.to_vec());
     }
-    let photo_file = encode_photo(&photo)?;
-    encode_geometry(photo, &geometry, &photo_file)
+    encode_geometry(&geometry, &EncodedPhoto::from_photo(&photo, QUALITY)?)
 }
 
 /// Photo and geometry at `1 / 2^level` of their size, or at the smallest possible level, and the number of halvings.
@@ -38,15 +37,14 @@ pub(super) fn smaller(mut photo: Photo, mut geometry: Geometry, level: u8) -> (P
     (photo, geometry, done)
 }
 
-/// Encodes the photo of a level.
-pub(super) fn encode_photo(photo: &Photo) -> Result<EncodedPhoto, ContainerError> {
-    EncodedPhoto::from_photo(photo, QUALITY)
-}
-
 /// Encodes a container with only photo and geometry, which determine all texels.
-pub(super) fn encode_geometry(photo: Photo, geometry: &Geometry, photo_file: &EncodedPhoto) -> Result<Vec<u8>, ContainerError> {
+///
+/// # Errors
+/// As in [`encode()`].
+pub fn encode_geometry(geometry: &Geometry, photo_file: &EncodedPhoto) -> Result<Vec<u8>, ContainerError> {
     let Geometry { grid, intrinsics, view_box, .. } = *geometry;
-    let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
+    // the photo is in its file, and no section has texels
+    let scene = Scene { grid, intrinsics, view_box, photo: Photo::default(), layers: Vec::new(), texels: Texels::default() };
     Ok(encode(geometry, &scene, photo_file, OptionalSections::default())?.0)
 }
 
@@ -77,38 +75,26 @@ fn halved_tile(tile: &Tile, from: &Grid, to: &Grid, index: u32) -> Tile {
             labels.push(four.into_iter().max_by_key(|&l| votes(l)).unwrap_or(0));
         }
     }
-    let mut used = vec![None; tile.planes.len()];
-    for &l in &labels {
-        used[l as usize] = Some(0u8);
-    }
-    let mut next = 0u8;
-    let mut planes = Vec::with_capacity(tile.planes.len());
-    for (u, p) in used.iter_mut().zip(&tile.planes) {
-        if let Some(to) = u {
-            *to = next;
-            next += 1;
-            planes.push(*p);
-        }
+    // planes without a pixel disappear
+    let used: Vec<u8> = (0..tile.planes.len() as u8).filter(|l| labels.contains(l)).collect();
+    let planes = used.iter().map(|&l| tile.planes[usize::from(l)]).collect();
+    let mut places = [0; 256];
+    for (place, &l) in (0..).zip(&used) {
+        places[usize::from(l)] = place;
     }
     for l in &mut labels {
-        *l = used[*l as usize].unwrap_or(0);
+        *l = places[usize::from(*l)];
     }
     Tile { planes, labels, background: tile.background }
 }
 
 /// Means of 2×2 pixels; an odd last row or column counts twice.
 fn halved_photo(p: &Photo) -> Photo {
-    let (width, height) = (p.width.div_ceil(2), p.height.div_ceil(2));
-    let mut rgb = Vec::with_capacity(width as usize * height as usize);
-    for y in 0..height {
-        let (y0, y1) = (2 * y, (2 * y + 1).min(p.height - 1));
-        for x in 0..width {
-            let (x0, x1) = (2 * x, (2 * x + 1).min(p.width - 1));
-            let four = [p.at(x0, y0), p.at(x1, y0), p.at(x0, y1), p.at(x1, y1)];
-            rgb.push(std::array::from_fn(|c| ((four.iter().map(|q| u16::from(q[c])).sum::<u16>() + 2) / 4) as u8));
-        }
-    }
-    Photo { width, height, rgb }
+    Photo::from_fn(p.width.div_ceil(2), p.height.div_ceil(2), |x, y| {
+        let (x1, y1) = ((2 * x + 1).min(p.width - 1), (2 * y + 1).min(p.height - 1));
+        let four = [p.at(2 * x, 2 * y), p.at(x1, 2 * y), p.at(2 * x, y1), p.at(x1, y1)];
+        std::array::from_fn(|c| ((four.iter().map(|q| u16::from(q[c])).sum::<u16>() + 2) / 4) as u8)
+    })
 }
 
 #[cfg(test)]

@@ -92,7 +92,7 @@ pub(super) fn streams(coders: &mut Coders, grid: &Grid, area: Area, tiles: &[Til
         return Err(LiveError::broken(format!("a tile has no planes, more than {MAX_PLANES}, or a wrong number of labels")));
     }
     let planes = own.iter().map(|t| t.planes.len() + usize::from(t.background.is_some())).sum();
-    let plane_data = planes::encode_by(&mut coders.planes, planes::Layout::of(&part, planes), &columns::write(&own))?;
+    let plane_data = planes::encode(&mut coders.planes, planes::Layout::of(&part, planes), &columns::write(&own))?;
     let counts: Vec<u8> = own.iter().map(|t| t.planes.len() as u8).collect();
     let all: Vec<u8> = own.iter().flat_map(|t| &t.labels).copied().collect();
     let label_data = labels::encode_by(&mut coders.labels, &part, &counts, &all);
@@ -114,7 +114,7 @@ pub fn decode(grid: &Grid, chunk: &Chunk) -> Result<Vec<(u32, Tile)>, LiveError>
         return Err(LiveError::broken(format!("{planes} planes in {tiles} tiles")));
     }
     let mut coders = Coders::learned();
-    let raw = planes::decode_by(&mut coders.planes, planes::Layout::of(&part, planes), &chunk.plane_data)?;
+    let raw = planes::decode(&mut coders.planes, planes::Layout::of(&part, planes), &chunk.plane_data)?;
     let mut own = columns::read(&part, planes, &raw)?;
     if own.iter().any(|t| t.planes.len() > MAX_PLANES) {
         return Err(LiveError::broken(format!("a tile has more than {MAX_PLANES} planes")));

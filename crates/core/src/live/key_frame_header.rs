@@ -1,6 +1,6 @@
 //! Reads the headers of key frames: size, cropping and colours of the following pictures. Rejects video that rooms do not support.
 
-use h264_reader::nal::sps::{ChromaFormat, FrameCropping, FrameMbsFlags, SeqParameterSet};
+use h264_reader::nal::sps::{ChromaFormat, FrameMbsFlags, SeqParameterSet};
 use h264_reader::rbsp::{BitReader, decode_nal};
 
 use super::{Colour, Matrix};
@@ -83,12 +83,11 @@ fn h264(nal: &[u8]) -> Result<KeyFrame, KeyFrameError> {
     let (width, height) = sps.pixel_dimensions().map_err(|e| broken(format!("{e:?}")))?;
     let blocks = |count: u32| count.checked_mul(16).ok_or_else(|| broken("its size".into()));
     let coded = (blocks(sps.pic_width_in_mbs())?, blocks(sps.pic_height_in_map_units().saturating_mul(fields))?);
-    let FrameCropping { left_offset, top_offset, .. } =
-        sps.frame_cropping.unwrap_or(FrameCropping { left_offset: 0, right_offset: 0, top_offset: 0, bottom_offset: 0 });
+    let (left, top) = sps.frame_cropping.as_ref().map_or((0, 0), |cropping| (cropping.left_offset, cropping.top_offset));
     let signal = sps.vui_parameters.as_ref().and_then(|vui| vui.video_signal_type.as_ref());
     let matrix = signal.and_then(|s| s.colour_description.as_ref()).and_then(|c| Matrix::from_code(c.matrix_coefficients));
     let colour = Colour::signalled(matrix, signal.is_some_and(|s| s.video_full_range_flag));
-    Ok(KeyFrame { width, height, left: 2 * left_offset, top: 2 * fields * top_offset, coded, colour })
+    Ok(KeyFrame { width, height, left: 2 * left, top: 2 * fields * top, coded, colour })
 }
 
 /// The uncompressed header of a key frame (VP9 bitstream specification, 6.2).

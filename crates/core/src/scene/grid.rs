@@ -46,10 +46,8 @@ impl FromStr for Rect {
     /// # Errors
     /// [`InvalidRect`] unless the text is four whole numbers separated by commas.
     fn from_str(text: &str) -> Result<Self, InvalidRect> {
-        let wrong = |_| InvalidRect(text.to_owned());
-        let all: Vec<u32> =
-            text.split(',').map(|part| part.trim().parse()).collect::<Result<_, std::num::ParseIntError>>().map_err(wrong)?;
-        let &[x, y, w, h] = all.as_slice() else { return Err(InvalidRect(text.to_owned())) };
+        let all: Result<Vec<u32>, std::num::ParseIntError> = text.split(',').map(|part| part.trim().parse()).collect();
+        let Ok(&[x, y, w, h]) = all.as_deref() else { return Err(InvalidRect(text.to_owned())) };
         Ok(Self { x, y, w, h })
     }
 }

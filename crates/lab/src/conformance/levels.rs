@@ -3,8 +3,8 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use tmpi_core::container::{self, ContainerError, EncodedPhoto, OptionalSections, RegionPhoto, TileRect};
-use tmpi_core::{Geometry, Intrinsics, Photo, Plane, Rect, TileFrame, compose, texture};
+use tmpi_core::container::{self, ContainerError, EncodedPhoto, RegionPhoto, TileRect};
+use tmpi_core::{Geometry, Intrinsics, Photo, Plane, Rect, TileFrame};
 use tmpi_testing::pictures::noise;
 
 use super::Checked;
@@ -62,8 +62,7 @@ pub(super) fn regions(checked: &mut Checked, kernel: impl Fn(&[u8], &TileRect, u
 }
 
 fn encoded(photo: &Photo, geometry: &Geometry) -> Result<Vec<u8>, ContainerError> {
-    let scene = compose(photo.clone(), geometry, texture(photo, geometry, geometry.masks()));
-    Ok(container::encode(geometry, &scene, &EncodedPhoto::lossless(photo)?, OptionalSections::default())?.0)
+    container::encode_geometry(geometry, &EncodedPhoto::lossless(photo)?)
 }
 
 /// Largest difference of a colour from the mean of the pixels that it replaces. An odd last row or column counts twice.

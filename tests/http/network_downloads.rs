@@ -1,26 +1,19 @@
 //! Downloads depth networks from a server that interrupts transfers or sends wrong bytes, and checks which network is used.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
-use std::io::{BufRead, BufReader};
-use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
-use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::path::PathBuf;
+use std::process::Stdio;
+use std::sync::Mutex;
 
-use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
+use tmpi::server::hex;
 use tmpi_testing::program::{self, Run};
 use tmpi_testing::{Answer, Need, Request, StandIn};
 
-#[path = "http/client.rs"]
-#[allow(dead_code, reason = "the tests of the HTTP interface use more of it")]
-mod client;
-
-use client::{get, request};
+use crate::prelude::*;
+use crate::process::Process;
 
 /// Replaces a depth network: computes the mean of a picture's channels.
-const NETWORK: &[u8] = include_bytes!("onnx/mean.onnx");
+const NETWORK: &[u8] = include_bytes!("../onnx/mean.onnx");
 /// The network that `auto` downloads.
 const NAME: &str = "depth-anything-v2-small-fp16";
 
@@ -72,7 +65,7 @@ fn offset(request: &Request) -> usize {
 
 /// The digest of the file.
 fn digest() -> String {
-    Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"))
+    hex(&Sha256::digest(NETWORK))
 }
 
 /// A temporary folder with a photo, in which tests run the program with only the networks of this folder.
@@ -101,64 +94,40 @@ impl Folder {
     /// The network that `make` reports.
     fn used(&self, more: &[&str]) -> String {
         self.run(&[&["make", "box.png", "-o", "box.tmpi", "-qf", "--report", "report.json"], more].concat());
-        let report: serde_json::Value = serde_json::from_slice(&std::fs::read(self.0.path("report.json")).unwrap()).unwrap();
+        let report: Value = serde_json::from_slice(&std::fs::read(self.0.path("report.json")).unwrap()).unwrap();
         report["depth_model"].as_str().unwrap().to_owned()
     }
 }
 
-/// `tmpi serve`, which downloads its network from a [`FileServer`].
-struct TmpiServer {
-    child: Child,
-    addr: SocketAddr,
+/// Starts `tmpi serve`, which downloads its network from a [`FileServer`].
+fn serve(folder: &Folder, url: &str, sha256: &str) -> Process {
+    let log = tempfile::NamedTempFile::new().unwrap();
+    let mut command = folder.0.command();
+    command.args(["serve", "--addr", "127.0.0.1:0", "--data", "data", "--network-url", url, "--network-sha256", sha256]);
+    Process::listening(command.stdout(Stdio::piped()).stderr(log.reopen().unwrap()).spawn().unwrap(), log)
 }
 
-impl TmpiServer {
-    fn start(folder: &Folder, url: &str, sha256: &str) -> Self {
-        let mut command = folder.0.command();
-        command.args(["serve", "--addr", "127.0.0.1:0", "--data", "data", "--network-url", url, "--network-sha256", sha256]);
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let addr = line.trim().strip_prefix("http://").and_then(|a| a.parse().ok());
-        Self { child, addr: addr.unwrap_or_else(|| panic!("no address: {line:?}")) }
-    }
-
-    fn network(&self) -> Value {
-        let response = get(self.addr, "/v1/network");
-        assert_eq!(response.status, 200);
-        response.json()
-    }
-
-    /// Downloads the network and waits until it is done.
-    fn fetch(&self) -> Value {
-        assert_eq!(request(self.addr, "POST", "/v1/network", &[], &[]).status, 202);
-        let deadline = Instant::now() + Duration::from_mins(1);
-        loop {
-            let state = self.network();
-            if state.get("fetched_bytes").is_none() {
-                return state;
-            }
-            assert!(Instant::now() < deadline, "{state}");
-            std::thread::sleep(Duration::from_millis(5));
-        }
-    }
-
-    /// Posts and waits for the photo; returns its id, version, and network.
-    fn make(&self, path: &str, body: &[u8]) -> [String; 3] {
-        let response = request(self.addr, "POST", path, &[("prefer", "wait=25")], body);
-        assert!(matches!(response.status, 200 | 201), "{}", String::from_utf8_lossy(&response.body));
-        let state = response.json();
-        let text = |value: &Value| value.as_str().unwrap().to_owned();
-        let report = get(self.addr, &text(&state["links"]["report"])).json();
-        [text(&state["id"]), text(&state["version"]), text(&report["depth_model"])]
-    }
+fn network(server: &Process) -> Value {
+    get(server.addr, "/v1/network").is(200).json()
 }
 
-impl Drop for TmpiServer {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+/// Downloads the network and waits until it is done.
+fn fetch(server: &Process) -> Value {
+    request(server.addr, "POST", "/v1/network", &[], &[]).is(202);
+    let mut state = Value::Null;
+    wait_until("the download has ended", || {
+        state = network(server);
+        state.get("fetched_bytes").is_none()
+    });
+    state
+}
+
+/// Posts and waits for the photo; returns its id, version, and network.
+fn make(server: &Process, path: &str, body: &[u8]) -> [String; 3] {
+    let state = request(server.addr, "POST", path, &[("prefer", "wait=25")], body).any_of(&[200, 201]).json();
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    let report = get(server.addr, &text(&state["links"]["report"])).json();
+    [text(&state["id"]), text(&state["version"]), text(&report["depth_model"])]
 }
 
 #[test]
@@ -167,10 +136,10 @@ fn a_running_server_downloads_a_better_network() {
     let digest = digest();
     let photo = std::fs::read(folder.0.path("box.png")).unwrap();
     let has_onnx = Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
-    let server = TmpiServer::start(&folder, &files.url, &digest);
-    let before = server.network();
+    let server = serve(&folder, &files.url, &digest);
+    let before = network(&server);
     assert_eq!((&before["name"], &before["better"]["name"], before.get("problem")), (&json!("tmpi"), &json!(NAME), None));
-    let old = has_onnx.then(|| server.make("/v1/photos", &photo));
+    let old = has_onnx.then(|| make(&server, "/v1/photos", &photo));
 
     // clients behind a proxy and pages of other sites are rejected
     let proxied = ("x-forwarded-for", "203.0.113.1");
@@ -181,27 +150,27 @@ fn a_running_server_downloads_a_better_network() {
 
     // the server reports an interrupted download and resumes it
     *files.behaviour.lock().unwrap() = Behaviour::Truncates;
-    let interrupted = server.fetch();
+    let interrupted = fetch(&server);
     assert!(interrupted["problem"].as_str().unwrap().contains("broke off") && interrupted["better"]["name"] == NAME, "{interrupted}");
     *files.behaviour.lock().unwrap() = Behaviour::Correct;
-    let after = server.fetch();
+    let after = fetch(&server);
     assert_eq!((&after["name"], after.get("better"), after.get("problem")), (&json!(NAME), None, None));
     assert_eq!(files.offsets(), [0, NETWORK.len() / 2]);
     assert_eq!(request(server.addr, "POST", "/v1/network", &[], &[]).status, 200, "there is nothing more to download");
 
     if let Some([id, version, network]) = old {
         assert_eq!(network, "tmpi");
-        let [same, newer, network] = server.make(&format!("/v1/photos/{id}/remake"), &[]);
+        let [same, newer, network] = make(&server, &format!("/v1/photos/{id}/remake"), &[]);
         assert_eq!((&same, network.as_str()), (&id, NAME));
         assert_ne!(newer, version);
-        let [other, _, network] = server.make("/v1/photos", &photo);
+        let [other, _, network] = make(&server, "/v1/photos", &photo);
         assert_eq!((other != id, network.as_str()), (true, NAME), "with another network the same upload gives another photo");
     }
 
     // after a restart the server uses the downloaded network and offers no better one
     drop(server);
-    let server = TmpiServer::start(&folder, &files.url, &digest);
-    assert_eq!((&server.network()["name"], server.network().get("better")), (&json!(NAME), None));
+    let server = serve(&folder, &files.url, &digest);
+    assert_eq!((&network(&server)["name"], network(&server).get("better")), (&json!(NAME), None));
 }
 
 #[test]
@@ -259,12 +228,9 @@ fn a_worse_installed_network_does_not_block_a_better_one() {
     std::fs::write(&worse, NETWORK).unwrap();
 
     // the server offers the better network and lists the networks that it beats
-    let server = TmpiServer::start(&folder, &files.url, &digest);
-    let state = server.network();
-    assert_eq!(
-        (&state["name"], &state["better"]["name"], &state["better_than"][0]),
-        (&json!("dpt-large"), &json!(NAME), &json!("dpt-hybrid"))
-    );
+    let server = serve(&folder, &files.url, &digest);
+    let state = network(&server);
+    assert_eq!([&state["name"], &state["better"]["name"], &state["better_than"][0]], ["dpt-large", NAME, "dpt-hybrid"]);
     drop(server);
 
     // if the download fails, the program uses the installed network
@@ -278,5 +244,5 @@ fn a_worse_installed_network_does_not_block_a_better_one() {
     std::fs::rename(out.trim(), folder.models().join("moge-2-small.onnx")).unwrap();
     let (out, _) = folder.get(&files, Behaviour::Correct, &digest);
     assert_eq!((Path::new(out.trim()), files.offsets().len()), (folder.models().join("moge-2-small.onnx").as_path(), 1));
-    assert_eq!(TmpiServer::start(&folder, &files.url, &digest).network().get("better"), None);
+    assert_eq!(network(&serve(&folder, &files.url, &digest)).get("better"), None);
 }
