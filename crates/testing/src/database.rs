@@ -58,9 +58,6 @@ fn url(folder: &Path, database: &str) -> String {
 }
 
 /// URL of an empty database; `None` without PostgreSQL, so that the test is skipped.
-///
-/// # Panics
-/// The server does not start.
 pub fn database() -> Option<String> {
     static SERVER: OnceLock<Option<Server>> = OnceLock::new();
     static NEXT: AtomicU32 = AtomicU32::new(0);

@@ -50,9 +50,6 @@ impl Engine {
     }
 
     /// An in-memory S3 server with an empty bucket `photos`; `None` without moto.
-    ///
-    /// # Panics
-    /// It does not start.
     pub fn s3() -> Option<Self> {
         let there = is_there("python3", &["-c", "import moto.server"]).then_some(());
         Need::S3.or_skip(there.ok_or("pip install 'moto[server]'"))?;
