@@ -91,8 +91,6 @@ impl Results {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "test")]
-
     use super::super::Flags;
     use super::super::tests::experiment;
     use super::*;

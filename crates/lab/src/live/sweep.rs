@@ -181,8 +181,6 @@ impl Points {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "test")]
-
     use clap::Parser as _;
 
     use super::super::Flags;
