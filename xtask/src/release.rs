@@ -5,9 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::OFFLINE;
 use crate::command::{Fault, Profile, built, cargo, output, root, run, run_quietly};
-use crate::runtime;
+use crate::{OFFLINE, runtime};
 
 /// Files of the workspace to include, and their paths in the archive.
 const FILES: [(&str, &str); 5] = [

@@ -8,8 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use image::ExtendedColorType;
-use tmpi_core::container;
-use tmpi_core::{Camera, Pose, Scene, ViewBox};
+use tmpi_core::{Camera, Pose, Scene, ViewBox, container};
 use tmpi_lab::metrics::flip;
 use tmpi_lab::scenes;
 use tmpi_pipeline::Silent;

@@ -9,14 +9,11 @@ use super::subject::{self, Subject};
 use super::{Axis, Curve, Experiment, Point};
 use crate::LabError;
 use crate::scenes::hidden_colours;
-use tmpi_core::TexturedLayer;
-use tmpi_core::{Class, DisparityMap, Geometry, Grid, Intrinsics, LayerMasks, Photo, Rect, Scene, TileFrame, ViewBox};
-use tmpi_pipeline::edges;
-use tmpi_pipeline::layers;
-use tmpi_pipeline::layers::refine;
+use tmpi_core::{Class, DisparityMap, Geometry, Grid, Intrinsics, LayerMasks, Photo, Rect, Scene, TexturedLayer, TileFrame, ViewBox};
+use tmpi_pipeline::layers::{self, refine};
 use tmpi_pipeline::networks::Network;
 use tmpi_pipeline::planes::{NEIGHBOUR_COST, Placement, place};
-use tmpi_pipeline::{MakeError, Options, Parallax};
+use tmpi_pipeline::{MakeError, Options, Parallax, edges};
 use tmpi_render::{Cpu, Renderer};
 
 /// The step that is disabled or replaced.

@@ -5,9 +5,8 @@ use super::measure::{Bench, Depth, REDUCED, in_turns};
 use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Figures, Point};
 use crate::LabError;
-use tmpi_pipeline::networks;
 use tmpi_pipeline::run::time_budget::{Costs, Measured, fit};
-use tmpi_pipeline::{Made, Options};
+use tmpi_pipeline::{Made, Options, networks};
 
 /// Operating points, as multiples of the default parallax error.
 const FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];

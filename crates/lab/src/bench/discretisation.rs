@@ -6,11 +6,10 @@ use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Point, experiments};
 use crate::LabError;
 use tmpi_core::{DisparityMap, Grid, Photo};
-use tmpi_pipeline::MakeError;
 use tmpi_pipeline::denoise::{local_planes, median_guided, theta};
-use tmpi_pipeline::edges;
 use tmpi_pipeline::planes::{MAX_AUTO_PLANES, Method, Placement, discretisation_error, ghost_share, place};
 use tmpi_pipeline::usage::Clock;
+use tmpi_pipeline::{MakeError, edges};
 
 /// Planes per tile, as in the paper.
 const PLANES: u32 = 4;

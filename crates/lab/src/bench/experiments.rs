@@ -5,8 +5,7 @@ use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Figures, Log, Point};
 use crate::LabError;
 use tmpi_core::{DisparityMap, ViewBox};
-use tmpi_pipeline::networks;
-use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, TileSize};
+use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, TileSize, networks};
 
 const MS: Axis = Axis::new("processing, ms", true, Some(false));
 pub(super) const VIEW: Axis = Axis::new("view, dB", false, Some(true));

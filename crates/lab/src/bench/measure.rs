@@ -10,14 +10,12 @@ use super::subject::Subject;
 use crate::LabError;
 use crate::metrics::{self, ssim_map};
 use crate::oracle_depth::OracleDepth;
-use tmpi_core::container;
-use tmpi_core::{DisparityMap, Photo, Pose, Scene};
-use tmpi_pipeline::Silent;
+use tmpi_core::{DisparityMap, Photo, Pose, Scene, container};
 use tmpi_pipeline::depth::Estimator;
 use tmpi_pipeline::networks::{self, Network};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::usage::Clock;
-use tmpi_pipeline::{self, Made, Models, Options};
+use tmpi_pipeline::{self, Made, Models, Options, Silent};
 use tmpi_render::{Cpu, Renderer, View};
 
 /// Stages excluded from the processing time: no option changes them, or they only measure.

@@ -5,9 +5,7 @@ use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Point, experiments, figures};
 use crate::LabError;
 use tmpi_core::DisparityMap;
-use tmpi_pipeline::depth;
-use tmpi_pipeline::edges;
-use tmpi_pipeline::{Options, Switch};
+use tmpi_pipeline::{Options, Switch, depth, edges};
 
 /// A function that degrades a map.
 type Damage = fn(&DisparityMap) -> DisparityMap;

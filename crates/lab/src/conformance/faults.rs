@@ -6,10 +6,9 @@ use tmpi_core::container::{self, RegionPhoto, TileRect};
 use tmpi_core::{Camera, Class, DisparityMap, Geometry, Intrinsics, LayerMasks, Plane, Pose, Scene, ViewBox, texture};
 use tmpi_live::align::{Affine, fit};
 use tmpi_pipeline::depth::{DepthKind, from_map, upsample};
-use tmpi_pipeline::edges;
 use tmpi_pipeline::photo::{Decoded, Limits, decode};
 use tmpi_pipeline::planes::{Placement, place, place_again, smooth_labels};
-use tmpi_pipeline::{Options, Parallax};
+use tmpi_pipeline::{Options, Parallax, edges};
 use tmpi_render::{Cpu, RenderError, Renderer, View};
 
 use crate::oracle_depth;

@@ -12,12 +12,10 @@ use tmpi_testing::png::{Png, chunk};
 use super::scenes::own_camera;
 use super::{Checked, Hosts};
 use crate::oracle_depth;
-use tmpi_core::container;
-use tmpi_core::{DisparityMap, Photo, Pose, Scene};
-use tmpi_pipeline::Silent;
+use tmpi_core::{DisparityMap, Photo, Pose, Scene, container};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::photo::{Decoded, Limits, PhotoError, decode};
-use tmpi_pipeline::{self, Models, Options};
+use tmpi_pipeline::{self, Models, Options, Silent};
 use tmpi_render::Renderer;
 
 const FAMILY: &str = "photos";

@@ -3,15 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::Checked;
-use super::scenes;
+use super::{Checked, scenes};
 use crate::files;
-use tmpi_core::container;
-use tmpi_core::container::PhotoFormat;
+use tmpi_core::container::{self, PhotoFormat};
 use tmpi_core::{Scene, ViewBox};
-use tmpi_pipeline::Silent;
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{self, Models, Options};
+use tmpi_pipeline::{self, Models, Options, Silent};
 use tmpi_render::{Cpu, Renderer, corners};
 
 const FAMILY: &str = "corners of the view box";

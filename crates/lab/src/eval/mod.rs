@@ -21,11 +21,9 @@ use self::score::{Fit, Mask};
 use crate::table::{row, table};
 use crate::{LabError, files};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
-use tmpi_pipeline::Silent;
-use tmpi_pipeline::depth;
 use tmpi_pipeline::networks::{Config, Session};
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{self, Denoise, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_pipeline::{self, Denoise, Models, Options, PlaneCount, PlaneMethod, Silent, Switch, TileSize, depth};
 use tmpi_render::{Cpu, Renderer};
 use tmpi_testing::pictures::png;
 
