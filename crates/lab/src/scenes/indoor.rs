@@ -242,17 +242,7 @@ pub(super) fn indoor_light(b: &mut Build, at: V3) {
 /// A laid table, usually seen steeply from above.
 pub(super) fn table(b: &mut Build) {
     let h = b.rng.log_range(0.3, 1.2);
-    let pattern = b.rng.pick(&[
-        Pattern::Planks,
-        Pattern::Plain,
-        Pattern::Noise,
-        Pattern::Plaid,
-        Pattern::Checks,
-        Pattern::Marble,
-        Pattern::Tiles,
-        Pattern::Stripes,
-        Pattern::Speckle,
-    ]);
+    let pattern = b.rng.pick(&Pattern::TABLETOPS);
     let top = Texture::new(b.rng, pattern, b.rng.log_range(0.03, 0.3));
     let (x, z) = (b.rng.range(0.4, 1.6), b.rng.range(0.3, 1.2));
     b.put(top, Frame::yaw(v3(0.0, 0.03, 0.0), b.rng.range(-3.1, 3.1)), Shape::Cuboid(v3(x, 0.03, z)));
@@ -305,16 +295,7 @@ pub(super) fn figures(b: &mut Build) {
     look(b, V3::default(), b.rng.range(-10.0, 10.0), b.rng.range(-14.0, 14.0), b.rng.range(-6.0, 6.0));
     let far = b.rng.log_range(2.5, 30.0);
     let (g, wide) = (b.w.group(), far * 3.0);
-    let pattern = b.rng.pick(&[
-        Pattern::Plain,
-        Pattern::Noise,
-        Pattern::Gradient,
-        Pattern::Foliage,
-        Pattern::Bricks,
-        Pattern::Windows,
-        Pattern::Print,
-        Pattern::Stripes,
-    ]);
+    let pattern = b.rng.pick(&Pattern::BACKDROPS);
     let scale = far * b.rng.log_range(0.05, 1.0);
     let back = Texture::new(b.rng, pattern, scale);
     // at least as wide as the view at that distance

@@ -46,16 +46,7 @@ fn ground_texture(b: &mut Build) -> Texture {
         _ => hsv(b.rng.range(0.5, 0.62), b.rng.range(0.3, 0.7), b.rng.range(0.3, 0.7)),
     }
     .map(|c| c.powf(2.2));
-    let pattern = b.rng.pick(&[
-        Pattern::Speckle,
-        Pattern::Speckle,
-        Pattern::Noise,
-        Pattern::Noise,
-        Pattern::Foliage,
-        Pattern::Tiles,
-        Pattern::Stripes,
-        Pattern::Bricks,
-    ]);
+    let pattern = b.rng.pick(&Pattern::GROUNDS);
     let other = if b.rng.chance(0.3) { colour(b.rng) } else { c * b.rng.range(0.5, 0.9) };
     Texture::of(b.rng, pattern, b.rng.log_range(0.2, 3.0), [c, other, c * 0.6])
 }

@@ -26,6 +26,12 @@ pub(super) enum Pattern {
 impl Pattern {
     pub const STRONG: [Self; 9] =
         [Self::Stripes, Self::Checks, Self::Plaid, Self::Dots, Self::Print, Self::Text, Self::Marble, Self::Tiles, Self::Planks];
+    pub const TABLETOPS: [Self; 9] =
+        [Self::Planks, Self::Plain, Self::Noise, Self::Plaid, Self::Checks, Self::Marble, Self::Tiles, Self::Stripes, Self::Speckle];
+    pub const BACKDROPS: [Self; 8] =
+        [Self::Plain, Self::Noise, Self::Gradient, Self::Foliage, Self::Bricks, Self::Windows, Self::Print, Self::Stripes];
+    pub const GROUNDS: [Self; 8] =
+        [Self::Speckle, Self::Speckle, Self::Noise, Self::Noise, Self::Foliage, Self::Tiles, Self::Stripes, Self::Bricks];
     pub const QUIET: [Self; 6] = [Self::Plain, Self::Plain, Self::Noise, Self::Noise, Self::Speckle, Self::Gradient];
 }
 
