@@ -44,8 +44,7 @@ fn ground_texture(b: &mut Build) -> Texture {
         2 => hsv(b.rng.range(0.05, 0.12), b.rng.range(0.15, 0.5), b.rng.range(0.35, 0.85)),
         3 => hsv(0.6, b.rng.range(0.0, 0.12), b.rng.range(0.2, 0.95)),
         _ => hsv(b.rng.range(0.5, 0.62), b.rng.range(0.3, 0.7), b.rng.range(0.3, 0.7)),
-    }
-    .map(|c| c.powf(2.2));
+    };
     let pattern = b.rng.pick(&Pattern::GROUNDS);
     let other = if b.rng.chance(0.3) { colour(b.rng) } else { c * b.rng.range(0.5, 0.9) };
     Texture::of(b.rng, pattern, b.rng.log_range(0.2, 3.0), [c, other, c * 0.6])
@@ -247,7 +246,7 @@ pub(super) fn thin(b: &mut Build) {
             }
         }
         2 => {
-            let c = hsv(b.rng.range(0.04, 0.1), 0.4, b.rng.range(0.1, 0.5)).map(|c| c.powf(2.2));
+            let c = hsv(b.rng.range(0.04, 0.1), 0.4, b.rng.range(0.1, 0.5));
             for _ in 0..b.rng.int(1, 3) {
                 let bark = Texture::of(b.rng, Pattern::Noise, 0.05, [c, c * 0.5, c]);
                 let g = b.w.group();

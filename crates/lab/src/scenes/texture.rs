@@ -70,15 +70,16 @@ pub(super) fn colour(rng: &Rng) -> V3 {
         7 => (rng.range(0.95, 1.03), rng.range(0.5, 0.95), rng.range(0.2, 0.85)),     // red
         _ => (rng.unit(), rng.range(0.1, 0.8), rng.range(0.1, 0.95)),
     };
-    hsv(h, s, v).map(|c| c.powf(2.2))
+    hsv(h, s, v)
 }
 
+/// Linear RGB of hue, saturation and value.
 pub(super) fn hsv(h: f64, s: f64, v: f64) -> V3 {
     let f = |n: f64| {
         let k = (n + h * 6.0).rem_euclid(6.0);
         v - v * s * k.min(4.0 - k).clamp(0.0, 1.0)
     };
-    v3(f(5.0), f(3.0), f(1.0))
+    v3(f(5.0), f(3.0), f(1.0)).map(|c| c.powf(2.2))
 }
 
 impl Texture {
@@ -272,7 +273,7 @@ impl Texture {
         let c = if h < 0.7 {
             self.colours[(h * 4.28) as usize % 3]
         } else {
-            hsv(hash3(a, b, 51, self.seed), 0.7 * hash3(a, b, 52, self.seed), hash3(a, b, 53, self.seed)).map(|c| c.powf(2.2))
+            hsv(hash3(a, b, 51, self.seed), 0.7 * hash3(a, b, 52, self.seed), hash3(a, b, 53, self.seed))
         };
         let disc = hash3(a, b, 54, self.seed) < 0.3 && (u - u.floor() - 0.5).hypot(v - v.floor() - 0.5) < 0.35;
         if disc { v3(1.0, 1.0, 1.0) - c.map(|x| x.min(1.0)) } else { c }
