@@ -61,8 +61,7 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
         ties(checked, host, 0.51 + rounding);
         for (name, scene) in all().into_iter().filter(|(n, _)| FAITHFUL.contains(n)) {
             let scene = Arc::new(scene);
-            let bound = if host.name() == "gpu" { 1.0 } else { 0.0 };
-            checked.case(FAMILY, &format!("identity view of {name}"), host.name(), "levels", bound, || identity(Some(&scene), host));
+            checked.case(FAMILY, &format!("identity view of {name}"), host.name(), "levels", rounding, || identity(Some(&scene), host));
             checked.case(FAMILY, &format!("borders of {name} from the corners of the view box"), host.name(), "open pixels", 0.0, || {
                 [0.0, 0.4, 1.0].into_iter().flat_map(|pivot| corners(&scene.view_box, pivot)).map(|pose| open(host, &scene, pose)).sum()
             });

@@ -154,10 +154,9 @@ const FAULTS: &[Fault] = &[
     }),
     // half a degree of turn
     fault("planes", &["gpu"], &["ground", "typical", "holes", "one row"], |c| {
-        views::run(
-            c,
-            &hosts(|cpu, scene, camera| cpu.render(scene, &Camera { pose: Pose { yaw: camera.pose.yaw + 0.5, ..camera.pose }, ..*camera })),
-        );
+        let turned =
+            hosts(|cpu, scene, camera| cpu.render(scene, &Camera { pose: Pose { yaw: camera.pose.yaw + 0.5, ..camera.pose }, ..*camera }));
+        views::run(c, &turned);
     }),
     // a surface is lost where it comes near
     fault("near", &["gpu"], &["two values, 0.9990 of the way", "two values, 0.9995 of the way"], |c| {
@@ -190,16 +189,14 @@ const FAULTS: &[Fault] = &[
         &["gpu"],
         &["64 layers of alpha 128/255", "identity view of flat", "borders of flat", "borders of typical"],
         |c| {
-            compositing::run(
-                c,
-                &hosts(|cpu, scene, camera| {
-                    let mut view = cpu.render(scene, camera)?;
-                    let width = view.width as usize;
-                    view.rgba.iter_mut().for_each(|p| *p = p.map(|v| v.saturating_sub(4)));
-                    view.rgba.iter_mut().step_by(width).for_each(|p| *p = [0; 4]);
-                    Ok(view)
-                }),
-            );
+            let dark = hosts(|cpu, scene, camera| {
+                let mut view = cpu.render(scene, camera)?;
+                let width = view.width as usize;
+                view.rgba.iter_mut().for_each(|p| *p = p.map(|v| v.saturating_sub(4)));
+                view.rgba.iter_mut().step_by(width).for_each(|p| *p = [0; 4]);
+                Ok(view)
+            });
+            compositing::run(c, &dark);
         },
     ),
     // rows from the bottom up
@@ -218,14 +215,12 @@ const FAULTS: &[Fault] = &[
         });
     }),
     fault("photos", &["gpu"], &["63×63, identity", "palette, identity", "CMYK JPEG, identity", "1×2000, identity"], |c| {
-        photos::run(
-            c,
-            &hosts(|cpu, scene, camera| {
-                let mut view = cpu.render(scene, camera)?;
-                view.rgba.reverse();
-                Ok(view)
-            }),
-        );
+        let reversed = hosts(|cpu, scene, camera| {
+            let mut view = cpu.render(scene, camera)?;
+            view.rgba.reverse();
+            Ok(view)
+        });
+        photos::run(c, &reversed);
     }),
     // coefficients between the grid's
     fault("quantisation", &["planes"], &["NaN, infinite and huge coefficients"], |c| quantisation::rounding(c, |plane| *plane)),

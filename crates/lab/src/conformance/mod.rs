@@ -137,6 +137,11 @@ impl Checked {
     }
 }
 
+/// The largest error; infinite where one is no number.
+fn largest(errors: impl Iterator<Item = f64>) -> f64 {
+    errors.fold(0.0, |most, error| if error.is_nan() { f64::INFINITY } else { most.max(error) })
+}
+
 /// The renderers that can be checked here: `reference`, `cpu`, and `gpu` on whatever adapter there is.
 struct Hosts {
     all: Vec<Arc<dyn Renderer>>,

@@ -95,20 +95,12 @@ pub(super) fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) ->
         });
         let scene = kernel(&file, &options);
         for host in &hosts.all {
-            checked.case(
-                "quantisation",
-                &format!("views from the corners of the box, {name}"),
-                host.name(),
-                "% of pixels",
-                bound(host.as_ref()),
-                || {
-                    scene.as_ref().map_or(f64::INFINITY, |scene| {
-                        let cameras = moved(scene);
-                        let host = host.as_ref();
-                        cameras.iter().map(|c| wrong(host, scene, c, &expected(host, &options, scene, c))).fold(0.0, f64::max)
-                    })
-                },
-            );
+            let (host, name) = (host.as_ref(), format!("views from the corners of the box, {name}"));
+            checked.case("quantisation", &name, host.name(), "% of pixels", bound(host), || {
+                let Some(scene) = &scene else { return f64::INFINITY };
+                let wrong = |c: &Camera| wrong(host, scene, c, &expected(host, &options, scene, c));
+                moved(scene).iter().map(wrong).fold(0.0, f64::max)
+            });
         }
     }
     checked.case("quantisation", "layers a tile", "container", "more than there may be", 0.0, || {
