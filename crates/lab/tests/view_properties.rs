@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use tmpi_core::{Camera, Pose, Scene};
-use tmpi_lab::conformance::scenes::{camera, flat};
+use tmpi_lab::stiff_scenes::{camera, flat};
 use tmpi_render::{Backend, Cpu, Gpu, Reference, RenderError, Renderer, select};
 
 /// The `gpu` backend on any adapter.

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use super::result;
-use tmpi_lab::conformance::{self, Case, Checked, Kernel, Verdict};
-use tmpi_lab::table::{row, table};
+use crate::conformance::{self, Case, Checked, Kernel, Verdict};
+use crate::table::{row, table};
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 

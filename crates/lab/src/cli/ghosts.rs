@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use super::{note, result};
-use tmpi_lab::files;
-use tmpi_lab::ghosts::{self, Ghosts, Pair};
-use tmpi_lab::table::table;
+use crate::files;
+use crate::ghosts::{self, Ghosts, Pair};
+use crate::table::table;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 

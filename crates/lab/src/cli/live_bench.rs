@@ -7,9 +7,9 @@ use clap::CommandFactory;
 use clap::error::ErrorKind;
 
 use super::{Cli, note, result, size};
+use crate::live::sweep::OperatingPoint;
+use crate::{files, live};
 use tmpi_core::live::MAX_PIXELS;
-use tmpi_lab::live::sweep::OperatingPoint;
-use tmpi_lab::{files, live};
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::{self, models};
 

@@ -1,7 +1,7 @@
 //! Training data for Ψ: layers of rendered scenes, with the true colours of their hidden texels.
 
+use crate::scenes::{Picture, Scene, hidden_colours};
 use tmpi_core::{Class, Geometry, Grid, Rect, TexturedLayer, TileFrame, ViewBox};
-use tmpi_lab::scenes::{Picture, Scene, hidden_colours};
 use tmpi_pipeline::layers::{self, refine};
 use tmpi_pipeline::planes::place;
 use tmpi_pipeline::{Options, Parallax, depth, edges};

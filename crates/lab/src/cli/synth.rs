@@ -10,9 +10,9 @@ use rayon::prelude::*;
 use serde_json::json;
 
 use super::{note, psi_training_data, size};
+use crate::files;
+use crate::scenes::{Assets, Model, Models, Picture, Pictures, Scene, Up};
 use tmpi_core::{Camera, Photo, Pose};
-use tmpi_lab::files;
-use tmpi_lab::scenes::{Assets, Model, Models, Picture, Pictures, Scene, Up};
 
 /// Render scenes with exact disparity, exact second views and the exact hidden surface
 #[derive(Clone, Debug, clap::Args)]
