@@ -15,23 +15,11 @@ use tmpi_render::RenderError;
 /// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum LabError {
-    /// A scene or a photo cannot be made.
     #[error("cannot make {subject}")]
-    Make {
-        /// Name of the scene or photo.
-        subject: String,
-        /// The reason.
-        source: MakeError,
-    },
+    Make { subject: String, source: MakeError },
     /// A file or a folder cannot be used.
     #[error("{path}: {reason}")]
-    File {
-        /// The path.
-        path: PathBuf,
-        /// The reason.
-        reason: String,
-    },
-    /// A frame cannot be encoded.
+    File { path: PathBuf, reason: String },
     #[error("cannot encode a frame: {0}")]
     Encode(String),
     /// A frame cannot be decoded.

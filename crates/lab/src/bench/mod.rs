@@ -61,18 +61,14 @@ pub struct Flags {
     pub repeats: Option<u16>,
 }
 
-/// Settings of a benchmark.
 #[derive(Clone)]
 pub struct Settings {
-    /// What it measures.
     pub flags: Flags,
-    /// The networks.
     pub models: Models,
     /// Settings that the networks were loaded with; an experiment varies those of the depth network.
     pub networks: tmpi_pipeline::networks::models::Settings,
 }
 
-/// Short names of the experiments.
 pub const EXPERIMENTS: [&str; 23] = [
     "scaling",
     "max-error",
@@ -104,13 +100,10 @@ pub const EXPERIMENTS: [&str; 23] = [
 pub struct Point {
     /// The setting, as on the command line.
     pub setting: String,
-    /// Position on the horizontal axis.
     pub x: f64,
-    /// Position on the vertical axis.
     pub y: f64,
     /// Standard deviation of `y` over the subjects; 0 for a single subject.
     pub spread: f64,
-    /// Whether this is the default setting.
     pub default: bool,
     /// Whether no other point of the experiment is better on both axes.
     pub pareto: bool,
@@ -130,18 +123,15 @@ impl Point {
 /// Settings that differ in one number.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Curve {
-    /// Name in the legend.
     pub name: String,
     /// Points in the order of that number.
     pub points: Vec<Point>,
 }
 
-/// Axis of a plot.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Axis {
     /// Name and unit.
     pub label: Cow<'static, str>,
-    /// Whether the axis is logarithmic.
     pub log: bool,
     /// Whether more is better; `None` if neither direction is.
     pub up: Option<bool>,
@@ -161,32 +151,23 @@ fn figures<const N: usize>(all: [(&str, f64); N]) -> Vec<(String, f64)> {
 /// Curves on common axes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Experiment {
-    /// Short name.
     pub id: String,
-    /// Heading.
     pub title: String,
-    /// Description.
     pub about: String,
-    /// Horizontal axis.
     pub x: Axis,
-    /// Vertical axis.
     pub y: Axis,
-    /// Curves.
     pub curves: Vec<Curve>,
 }
 
-/// Results of a benchmark.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Results {
     /// Version of the program.
     pub version: String,
-    /// The machine.
     pub machine: Machine,
     /// Names of the measured scenes and photos.
     pub subjects: Vec<String>,
     /// Number of runs of a setting that takes at most a second; others ran twice at most. Times are medians.
     pub repeats: usize,
-    /// The experiments.
     pub experiments: Vec<Experiment>,
     /// Costs of this machine for `--budget-ms`, if they were measured.
     pub costs: Option<Costs>,
@@ -197,9 +178,6 @@ pub struct Results {
 }
 
 /// Runs the experiments, and writes the results to the folder after each; calls `progress` with the name of each.
-///
-/// # Errors
-/// [`LabError`].
 pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabError> {
     let mut log = Log::new(settings, progress)?;
     let (quick, repeats) = (settings.flags.quick, log.results.repeats);

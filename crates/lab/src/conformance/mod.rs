@@ -44,10 +44,8 @@ pub enum Verdict {
     Fail,
 }
 
-/// One case.
 #[derive(Clone, Debug, Serialize)]
 pub struct Case {
-    /// Family of cases.
     pub family: &'static str,
     /// What is stiff or extreme about it.
     pub name: String,
@@ -55,11 +53,9 @@ pub struct Case {
     pub subject: &'static str,
     /// What `error` and `bound` count.
     pub unit: &'static str,
-    /// Largest error allowed.
     pub bound: f64,
     /// Error found; none where the code under test panicked or gave something that is no number.
     pub error: Option<f64>,
-    /// Verdict.
     pub verdict: Verdict,
     /// Milliseconds since the case before it, with what was prepared for it.
     pub ms: f64,
@@ -68,13 +64,9 @@ pub struct Case {
 /// All cases of one kernel.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Kernel {
-    /// Family of cases.
     pub family: &'static str,
-    /// The kernel or the renderer under test.
     pub subject: &'static str,
-    /// Count of cases.
     pub cases: usize,
-    /// Count of those that failed.
     pub failed: usize,
     /// The error that came nearest to its bound, as a share of that; infinite where there is none.
     pub nearest: f64,
@@ -95,7 +87,6 @@ pub struct Checked {
 }
 
 impl Checked {
-    /// Count of the cases that failed.
     pub fn failed(&self) -> usize {
         self.cases.iter().filter(|c| c.verdict == Verdict::Fail).count()
     }
@@ -158,7 +149,6 @@ impl Hosts {
     }
 }
 
-/// Runs all cases.
 pub fn run() -> Checked {
     let mut checked = Checked::default();
     let hosts = Hosts::new(&mut checked.skipped);

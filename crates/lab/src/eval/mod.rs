@@ -63,19 +63,15 @@ fn ways() -> Vec<(&'static str, Option<Options>)> {
     ]
 }
 
-/// Names of all ways.
 pub fn names() -> Vec<&'static str> {
     ways().into_iter().map(|w| w.0).collect()
 }
 
-/// Results of one way.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Row {
-    /// Name of the way.
     pub way: &'static str,
     /// Mean over all views that count.
     pub score: Score,
-    /// Sources of the error.
     pub sources: Sources,
     /// Wall time to make a scene, in ms; includes depth if it is estimated.
     pub make_ms: f64,
@@ -91,16 +87,13 @@ pub struct Row {
     pub scenes: Vec<(String, Score)>,
 }
 
-/// Results of all ways.
 #[derive(Clone, Debug, Serialize)]
 pub struct Results {
-    /// Where depth came from.
     pub depth: Depth,
     /// Number of views that count.
     pub views: usize,
     /// Number of views that do not count, because some way leaves too much of them blank.
     pub blank: usize,
-    /// One row per way.
     pub rows: Vec<Row>,
     /// Score of the estimated disparity; `None` if the true disparity was used.
     pub depth_score: Option<DepthScore>,
@@ -142,9 +135,6 @@ pub struct Settings {
 }
 
 /// Measures the named ways, or all of them, on all scenes below the folders.
-///
-/// # Errors
-/// [`LabError`].
 pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabError> {
     let Settings { depth, only, lpips, files } = settings;
     let depth = *depth;
@@ -324,7 +314,6 @@ fn seen(camera: &Camera, fit: Fit) -> Camera {
 }
 
 impl Results {
-    /// Formats the results as a table for people.
     pub fn table(&self) -> String {
         use std::fmt::Write;
         let mut out = format!("{} views", self.views);

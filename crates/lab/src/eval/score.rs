@@ -18,7 +18,6 @@ pub struct Score {
     pub ssim: f64,
     /// Mean absolute difference of values in 0 to 1.
     pub l1: f64,
-    /// FLIP.
     pub flip: f64,
     /// LPIPS of the cropped view; `None` without a network for it.
     pub lpips: Option<f64>,

@@ -74,17 +74,12 @@ pub struct Flags {
 }
 
 /// Parses a number that is not negative.
-///
-/// # Errors
-/// What is expected.
 pub fn not_negative(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| v.is_finite() && *v >= 0.0).ok_or_else(|| "expected a number, 0 or more".into())
 }
 
-/// Settings of a measurement.
 #[derive(Clone)]
 pub struct Settings {
-    /// What is measured.
     pub flags: Flags,
     /// Size of the frames, bit rate and budget.
     pub at: OperatingPoint,
@@ -97,7 +92,6 @@ pub struct Settings {
 /// Means over the frames of a sequence. Bytes and milliseconds are per frame.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Row {
-    /// Name of the sequence.
     pub sequence: &'static str,
     /// Each figure by its name, which contains the unit.
     #[serde(serialize_with = "by_name")]
@@ -143,9 +137,6 @@ fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64) -> Room {
 }
 
 /// Learns the initial state of the chunk coders (`crates/core/src/live/coder_prior.in`) from the chunks of rendered sequences.
-///
-/// # Errors
-/// [`LabError`].
 pub fn learn(settings: &Settings, progress: &dyn Fn(&str)) -> Result<String, LabError> {
     let mut learning = Learning::default();
     for lesson in 0..LESSONS.0 {

@@ -18,7 +18,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All kinds.
     pub const ALL: [Self; 4] = [Self::Still, Self::Measured, Self::Moving, Self::Cut];
 
     /// Name in results.
@@ -108,7 +107,6 @@ impl Sequence {
         picture.photo
     }
 
-    /// Intrinsics of the camera.
     pub const fn intrinsics(&self) -> Intrinsics {
         self.camera.intrinsics
     }
@@ -133,7 +131,6 @@ impl Sequence {
         if self.kind == Kind::Moving { 0.15 * (f64::from(n) / PERIOD * std::f64::consts::TAU).sin() } else { 0.0 }
     }
 
-    /// Renders frame `n`.
     pub fn shot(&self, n: u32) -> Shot {
         let moved;
         let [here, side] = if self.kind == Kind::Moving {

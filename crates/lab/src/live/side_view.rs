@@ -81,9 +81,6 @@ impl Reader {
     }
 
     /// Queues sent tiles, and decodes those sent `late` frames ago. Returns the indices of new tiles and their frame.
-    ///
-    /// # Errors
-    /// [`LiveError`] if they cannot be decoded.
     pub fn receive(&mut self, message: schema::Geometry, late: u32) -> Result<(Vec<u32>, Option<u64>), LiveError> {
         self.in_flight.push_back(message);
         let due = if self.in_flight.len() > late as usize { self.in_flight.pop_front() } else { None };
@@ -102,9 +99,6 @@ impl Reader {
     }
 
     /// Renders the side view, and compares it with the truth and with the previous frame if that was shown. Returns the view.
-    ///
-    /// # Errors
-    /// [`RenderError`] from the renderer.
     pub fn show(&mut self, m: Moment, f: &mut Figures) -> Result<Photo, RenderError> {
         let shown = self.shown(m.geometry).clone();
         let (g, m) = (&shown, Moment { geometry: &shown, ..m });
@@ -147,9 +141,6 @@ impl Reader {
     }
 
     /// Renders the frame shown last from another pose.
-    ///
-    /// # Errors
-    /// [`RenderError`] from the renderer.
     pub fn view(&self, m: Moment, pose: Pose) -> Result<Photo, RenderError> {
         self.draw(m, &Arc::new(self.layers.scene(self.shown(m.geometry))), pose)
     }

@@ -7,10 +7,8 @@ use crate::LabError;
 use crate::bench::{Axis, Curve, Experiment, Machine, Point as Plotted, Results};
 use crate::table::table;
 
-/// Settings of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct OperatingPoint {
-    /// Size of the frames.
     pub size: (u32, u32),
     /// H.264 bits per second.
     pub bitrate: u32,
@@ -21,10 +19,8 @@ pub struct OperatingPoint {
 /// A sequence at one operating point.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
-    /// The operating point.
     #[serde(flatten)]
     pub at: OperatingPoint,
-    /// Results.
     #[serde(flatten)]
     pub row: Row,
 }
@@ -32,9 +28,7 @@ pub struct Point {
 /// All sequences at all operating points.
 #[derive(Clone, Debug, Serialize)]
 pub struct Points {
-    /// The machine.
     pub machine: Machine,
-    /// Frames per sequence.
     pub frames: u32,
     /// How far to the right of the camera the side view is, in units of the nearest distance: the border of a room's view box.
     pub side_view: f64,
@@ -47,9 +41,6 @@ pub struct Points {
 }
 
 /// Measures all sequences at each point, and calls `progress` for each.
-///
-/// # Errors
-/// [`LabError`].
 pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&str)) -> Result<Points, LabError> {
     let start = std::time::Instant::now();
     let (mut points, mut skipped) = (Vec::new(), Vec::new());
