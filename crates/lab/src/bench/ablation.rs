@@ -16,11 +16,10 @@ use tmpi_pipeline::planes::{NEIGHBOUR_COST, Placement, place};
 use tmpi_pipeline::{MakeError, Options, Parallax, edges};
 use tmpi_render::{Cpu, Renderer};
 
-/// The step that is disabled or replaced.
+/// The step that is disabled or replaced, as [`ALL`] names it.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Without {
     Nothing,
-    /// Uses the map without the median filter.
     Median,
     /// Leaves pixels of mixed colours on the side where the map has them.
     Rims,
@@ -28,17 +27,11 @@ pub(super) enum Without {
     FullMedian,
     /// Adds no planes for background that is visible only in neighbouring tiles.
     Backgrounds,
-    /// Has no texels behind the visible surface.
     Hidden,
-    /// Keeps hidden texels in front of the visible surface.
     Trim,
-    /// Keeps hidden texels that cannot be seen from the view box.
     Prune,
-    /// Colours hidden texels with the photo's colour at the same pixel.
     Fill,
-    /// Has no soft rims.
     Soft,
-    /// Lets Ψ colour hidden texels.
     Refined,
     /// Colours hidden texels from the exact surface if it lies on their plane: an upper bound for any Ψ.
     Known,

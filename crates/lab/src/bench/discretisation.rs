@@ -48,9 +48,8 @@ fn cleaned(bench: &Bench, how: Cleaning, photo: &Photo, map: &DisparityMap) -> R
 
 /// Fits planes to clean and damaged maps, and measures their error against the clean map.
 pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
-    let methods = [("linear", Method::Linear), ("lloyd", Method::Lloyd), ("optimal", Method::Optimal), ("slanted", Method::Slanted)];
-    let mut settings: Vec<(String, Placement, Cleaning)> =
-        methods.iter().map(|&(name, m)| (format!("{name}, {PLANES} planes"), Placement::fixed(m, PLANES), Cleaning::Off)).collect();
+    let fixed = |(name, method): (&str, Method)| (format!("{name}, {PLANES} planes"), Placement::fixed(method, PLANES), Cleaning::Off);
+    let mut settings: Vec<(String, Placement, Cleaning)> = experiments::METHODS.map(fixed).into();
     settings.push(("slanted, error 0.005".into(), Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, 0.005), Cleaning::Off));
     let mut cleanings = vec![("classic", Cleaning::Classic), ("auto", Cleaning::Auto)];
     if bench.models.theta.is_some() && tmpi_pipeline::networks::available().is_ok() {

@@ -12,7 +12,7 @@ pub(super) const VIEW: Axis = Axis::new("view, dB", false, Some(true));
 const PARALLAX: Axis = Axis::new("parallax error, px", true, Some(false));
 pub(super) const KB: Axis = Axis::new("container, KB", true, Some(false));
 
-const METHODS: [(&str, PlaneMethod); 4] =
+pub(super) const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
 
 /// A setting to measure: one point of a curve.
