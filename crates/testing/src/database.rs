@@ -53,10 +53,6 @@ fn start() -> Option<Server> {
     Some(Server { programs, folder, _process: process })
 }
 
-fn url(folder: &Path, database: &str) -> String {
-    format!("postgres://postgres@localhost/{database}?host={}", folder.display())
-}
-
 /// URL of an empty database; `None` without PostgreSQL, so that the test is skipped.
 pub fn database() -> Option<String> {
     static SERVER: OnceLock<Option<Server>> = OnceLock::new();
@@ -77,5 +73,5 @@ pub fn database() -> Option<String> {
         assert!(Instant::now() < until, "PostgreSQL does not start: {log}");
         std::thread::sleep(Duration::from_millis(50));
     }
-    Some(url(&server.folder, &name))
+    Some(format!("postgres://postgres@localhost/{name}?host={}", server.folder.display()))
 }
