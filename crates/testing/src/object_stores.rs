@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
 use crate::Need;
@@ -13,11 +13,6 @@ pub struct Engine {
     child: Child,
     /// Where it listens.
     pub addr: SocketAddr,
-}
-
-/// Whether `program` runs successfully with `arguments`.
-fn is_there(program: &str, arguments: &[&str]) -> bool {
-    Command::new(program).args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|s| s.success())
 }
 
 /// The address in a line that says where a program listens.
@@ -51,8 +46,8 @@ impl Engine {
 
     /// An in-memory S3 server with an empty bucket `photos`; `None` without moto.
     pub fn s3() -> Option<Self> {
-        let there = is_there("python3", &["-c", "import moto.server"]).then_some(());
-        Need::S3.or_skip(there.ok_or("pip install 'moto[server]'"))?;
+        let import = Command::new("python3").args(["-c", "import moto.server"]).stdout(Stdio::null()).stderr(Stdio::null()).status();
+        Need::S3.or_skip(import.ok().filter(ExitStatus::success).ok_or("pip install 'moto[server]'"))?;
         let mut command = Command::new("python3");
         // start the program itself, not a wrapper script, which would be killed instead
         command.args(["-m", "moto.server", "-H", "127.0.0.1", "-p", "0"]);

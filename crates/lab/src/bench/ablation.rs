@@ -5,10 +5,10 @@ use std::sync::Arc;
 use super::experiments::VIEW;
 use super::figures::Figures;
 use super::measure::{self, Bench};
-use super::subject::{self, Subject};
+use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Point};
 use crate::LabError;
-use crate::scenes::hidden_colours;
+use crate::scenes::{self, hidden_colours};
 use tmpi_core::{Class, DisparityMap, Geometry, Grid, Intrinsics, LayerMasks, Photo, Rect, Scene, TexturedLayer, TileFrame, ViewBox};
 use tmpi_pipeline::layers::{self, refine};
 use tmpi_pipeline::networks::Network;
@@ -114,7 +114,8 @@ impl<'a> Prepared<'a> {
                 refine::run(psi, &self.photo, geometry, &mut coloured).map_err(fail)?;
             }
             (Without::Known, _, Some(seed)) => {
-                let hidden = subject::hidden(seed, (self.photo.width, self.photo.height));
+                let scene = scenes::Scene::framed(seed, self.photo.width, self.photo.height);
+                let hidden = scene.hidden(&scene.camera(), 3);
                 for (t, i) in coloured.iter_mut().zip(0..) {
                     let place = TileFrame::of(&geometry.grid, i);
                     for l in t {

@@ -89,12 +89,6 @@ pub(super) fn scene(seed: u64, (width, height): (u32, u32), poses: &[Pose]) -> R
     })
 }
 
-/// The second surface of a rendered scene: what lies behind the visible one.
-pub(super) fn hidden(seed: u64, (width, height): (u32, u32)) -> scenes::Picture {
-    let scene = scenes::Scene::framed(seed, width, height);
-    scene.hidden(&scene.camera(), 3)
-}
-
 /// Reads the disparity map `NAME_disp16.png` beside a photo `NAME.jpg`, if it exists.
 fn beside(photo: &Path, file: &[u8]) -> Result<Option<DisparityMap>, LabError> {
     let map = photo.with_file_name(format!("{}{MAP}", photo.file_stem().unwrap_or_default().to_string_lossy()));

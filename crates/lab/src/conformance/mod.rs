@@ -24,15 +24,14 @@ mod view_box_corners;
 mod views;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
 
 pub use raycast::{cast, cast_in_layer_order};
-use tmpi_pipeline::Models;
 use tmpi_render::{Cpu, Gpu, Reference, Renderer};
+pub use view_box_corners::run_on_photos;
 
 /// What became of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -167,13 +166,6 @@ pub fn run() -> Checked {
     photos::run(&mut checked, &hosts);
     quantisation::run(&mut checked, &hosts);
     view_box_corners::disc(&mut checked, |scene| scene);
-    checked
-}
-
-/// What the corners of the view box see, on all photos of `folders`.
-pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
-    let mut checked = Checked::default();
-    view_box_corners::run(&mut checked, folders, models);
     checked
 }
 

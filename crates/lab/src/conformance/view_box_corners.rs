@@ -70,7 +70,8 @@ fn corners_of(checked: &mut Checked, name: &str, kernel: impl FnOnce() -> Option
 }
 
 /// Checks every photo of the folders; a folder without one is a skipped case.
-pub(super) fn run(checked: &mut Checked, folders: &[PathBuf], models: &Models) {
+pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
+    let mut checked = Checked::default();
     for folder in folders {
         let mut photos = files::entries(folder).unwrap_or_default();
         photos.retain(|p| is_photo(p));
@@ -78,9 +79,10 @@ pub(super) fn run(checked: &mut Checked, folders: &[PathBuf], models: &Models) {
             checked.skipped.push(format!("{}: no photo in it", folder.display()));
         }
         for path in photos {
-            corners_of(checked, &files::name(&path), || scene(models, &path));
+            corners_of(&mut checked, &files::name(&path), || scene(models, &path));
         }
     }
+    checked
 }
 
 fn is_photo(path: &Path) -> bool {
