@@ -38,7 +38,6 @@ impl fmt::Display for Fault {
     }
 }
 
-/// The workspace's root folder.
 pub fn root() -> PathBuf {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     here.parent().unwrap_or(here).to_owned()
@@ -63,7 +62,6 @@ impl Profile {
     }
 }
 
-/// Cargo's target folder.
 pub fn target() -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), |t| root().join(t))
 }
@@ -182,7 +180,6 @@ pub fn in_parallel<T: Send, R: Send>(threads: usize, items: impl Iterator<Item =
     })
 }
 
-/// Number of CPU cores.
 pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }

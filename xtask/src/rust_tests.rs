@@ -9,7 +9,6 @@ use serde_json::Value;
 use crate::command::{Fault, Profile, cargo, command_line, cores, data, in_parallel, not_started, run, say};
 use crate::{runtime, tools};
 
-/// A test program that cargo has built.
 struct TestProgram {
     /// Folder of the package, and target if it has another name: `core codec`.
     name: String,
@@ -18,7 +17,6 @@ struct TestProgram {
     folder: PathBuf,
 }
 
-/// How a test program ended.
 struct Outcome {
     name: String,
     counts: Counts,

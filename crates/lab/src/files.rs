@@ -16,12 +16,10 @@ pub fn entries(folder: &Path) -> Result<Vec<PathBuf>, LabError> {
     Ok(paths)
 }
 
-/// The bytes of a file.
 pub fn read(path: &Path) -> Result<Vec<u8>, LabError> {
     std::fs::read(path).map_err(|e| LabError::file(path, e))
 }
 
-/// The value in a JSON file.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, LabError> {
     serde_json::from_slice(&read(path)?).map_err(|e| LabError::file(path, e))
 }

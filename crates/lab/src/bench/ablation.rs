@@ -208,7 +208,6 @@ pub(super) fn steps(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, L
     })
 }
 
-/// Varies the weight of label smoothing.
 pub(super) fn labels(subjects: &[Subject], quick: bool) -> Result<Experiment, LabError> {
     let all = prepared(subjects, None)?;
     let x = Axis::new("label changes, % of pixels", true, Some(false));

@@ -14,7 +14,6 @@ use tmpi_pipeline::{MakeError, edges};
 /// Planes per tile, as in the paper.
 const PLANES: u32 = 4;
 
-/// Names of the axes.
 const CPU: &str = "planes, CPU ms";
 const MAE: &str = "MAE, 1e-3";
 

@@ -77,7 +77,6 @@ impl<'a> Log<'a> {
     }
 }
 
-/// File of the results in their folder.
 const RESULTS: &str = "results.json";
 
 impl Results {

@@ -78,7 +78,6 @@ impl Bench<'_> {
         (0..self.repeats).map(|_| self.make(s, depth, options)).collect()
     }
 
-    /// Processes a subject.
     pub fn make(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Made, LabError> {
         let options = Options { fov_x: options.fov_x.or(s.fov_x), ..options.clone() };
         let mut models = self.models.clone();
@@ -118,7 +117,6 @@ pub(super) fn in_turns(count: usize, repeats: usize, mut run: impl FnMut(usize, 
     Ok(())
 }
 
-/// Adds the times of a run.
 fn add_times(f: &mut Figures, subject: usize, made: &Made) {
     let mut add = |name: &str, included: &dyn Fn(&str) -> bool, cpu: bool| {
         let stages = made.report.stages.iter().filter(|s| included(&s.name));
@@ -131,7 +129,6 @@ fn add_times(f: &mut Figures, subject: usize, made: &Made) {
     add("verifying, ms", &|n| n == "verify", false);
 }
 
-/// Adds bytes and errors.
 fn add_errors(f: &mut Figures, s: &Subject, made: &Made, &(_, options, level): &Setting) -> Result<(), LabError> {
     let (r, e) = (&made.report, &made.report.error);
     let file = container::level(&made.container, level)?;

@@ -173,7 +173,6 @@ pub struct Results {
     pub costs: Option<Costs>,
     /// Skipped experiments, each with the reason.
     pub skipped: Vec<String>,
-    /// Total time in seconds.
     pub seconds: f64,
 }
 

@@ -7,7 +7,6 @@ use crate::LabError;
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::{Options, Switch, depth, edges};
 
-/// A function that degrades a map.
 type Damage = fn(&DisparityMap) -> DisparityMap;
 
 /// One point per scene and kind of damage: the fraction of ramps, and the gain of views by snapping.

@@ -21,7 +21,6 @@ const LARGE: (u32, u32) = (2400, 1600);
 /// Samples a pixel, across and down.
 const SAMPLES: u32 = 3;
 
-/// A scene or a photo.
 #[derive(Clone)]
 pub(super) struct Subject {
     pub name: String,
@@ -39,7 +38,6 @@ pub(super) struct Subject {
 }
 
 impl Subject {
-    /// The decoded photo.
     pub fn decoded(&self) -> Result<Decoded, LabError> {
         photo::decode(&self.file, &Limits::default(), None)
             .map_err(|e| LabError::Make { subject: self.name.clone(), source: MakeError::Photo(e) })

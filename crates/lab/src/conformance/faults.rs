@@ -18,7 +18,6 @@ use super::{
     photos, quantisation, readers, stereo, view_box_corners, views,
 };
 
-/// A fault planted in a kernel.
 struct Fault {
     family: &'static str,
     subjects: &'static [&'static str],

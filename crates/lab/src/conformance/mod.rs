@@ -33,7 +33,6 @@ pub use raycast::{cast, cast_in_layer_order};
 use tmpi_render::{Cpu, Gpu, Reference, Renderer};
 pub use view_box_corners::run_on_photos;
 
-/// What became of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
@@ -60,7 +59,6 @@ pub struct Case {
     pub ms: f64,
 }
 
-/// All cases of one kernel.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Kernel {
     pub family: &'static str,
@@ -69,11 +67,9 @@ pub struct Kernel {
     pub failed: usize,
     /// The error that came nearest to its bound, as a share of that; infinite where there is none.
     pub nearest: f64,
-    /// Milliseconds that they took.
     pub ms: f64,
 }
 
-/// Everything that was checked.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Checked {
     /// All cases, family by family.

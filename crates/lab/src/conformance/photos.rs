@@ -181,7 +181,6 @@ pub(super) fn identity(scene: Option<&Arc<Scene>>, host: &dyn Renderer) -> f64 {
     view.rgba.iter().zip(&scene.photo.rgb).map(off).max().unwrap_or(u8::MAX).into()
 }
 
-/// Whether an error is the expected one.
 type IsExpected<'a> = &'a dyn Fn(&PhotoError) -> bool;
 
 /// Files that are no photo or too much of one.

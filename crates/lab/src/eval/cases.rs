@@ -23,7 +23,6 @@ pub(super) struct Case {
     pub views: Vec<Truth>,
 }
 
-/// A true second view.
 pub(super) struct Truth {
     pub camera: Camera,
     pub rgb: Vec<[u8; 3]>,

@@ -38,12 +38,10 @@ pub struct Sources {
 }
 
 impl Sources {
-    /// Sum of all sources.
     pub fn total(&self) -> f64 {
         self.hidden + self.edges + self.geometry + self.resampling
     }
 
-    /// The mean over views.
     pub(super) fn mean(all: &[Self]) -> Self {
         let of = |f: fn(&Self) -> f64| all.iter().map(f).sum::<f64>() / all.len().max(1) as f64;
         Self { hidden: of(|s| s.hidden), edges: of(|s| s.edges), geometry: of(|s| s.geometry), resampling: of(|s| s.resampling) }

@@ -264,7 +264,6 @@ fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, L
     })
 }
 
-/// Result of one view.
 struct Scored {
     score: Score,
     sources: Sources,

@@ -33,7 +33,6 @@ const BESIDE: usize = 3;
 const BORDER: f64 = 0.03;
 
 impl Score {
-    /// The mean over views.
     pub(super) fn mean(all: &[Self]) -> Self {
         let n = all.len().max(1) as f64;
         let of = |f: fn(&Self) -> f64| all.iter().map(f).sum::<f64>() / n;
@@ -86,7 +85,6 @@ impl Mask {
         Self { width, beside: among(&|i| near[i]), uncovered: among(&|i| !covered[i]), inside }
     }
 
-    /// Whether each pixel is scored.
     pub fn inside(&self) -> &[bool] {
         &self.inside
     }
@@ -101,7 +99,6 @@ impl Mask {
         mean(map, &self.inside).unwrap_or(0.0)
     }
 
-    /// Scores `view` against `truth`.
     pub fn score(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Score {
         let difference = |power: i32, of: &[bool]| {
             let pixels = view.iter().zip(truth);
@@ -204,7 +201,6 @@ impl DepthScore {
         Self { abs_rel: relative / n, rmse, within_125: near / n, spearman: correlation(&ranks[0], &ranks[1]) }
     }
 
-    /// The mean over photos.
     pub(super) fn mean(all: &[Self]) -> Option<Self> {
         let of = |f: fn(&Self) -> f64| all.iter().map(f).sum::<f64>() / all.len() as f64;
         let mean =

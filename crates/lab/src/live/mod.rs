@@ -73,7 +73,6 @@ pub struct Flags {
     pub files: Option<PathBuf>,
 }
 
-/// Parses a number that is not negative.
 pub fn not_negative(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| v.is_finite() && *v >= 0.0).ok_or_else(|| "expected a number, 0 or more".into())
 }
@@ -128,7 +127,6 @@ fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<St
     Ok((rows, skipped))
 }
 
-/// Settings of the room for a sequence.
 fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64) -> Room {
     let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
     let Flags { parallax, max_error, cooldown_ms, .. } = settings.flags;

@@ -69,7 +69,6 @@ pub struct Shot {
     pub uncovered: Vec<bool>,
 }
 
-/// A sequence of frames.
 #[derive(Debug)]
 pub struct Sequence {
     kind: Kind,
@@ -77,7 +76,6 @@ pub struct Sequence {
     scenes: [Scene; 2],
     /// Each scene without the object, from the camera and from the side.
     still: Vec<[Picture; 2]>,
-    /// Texture of the object.
     paint: Photo,
     camera: Camera,
     /// Offset of the side view to the right, in units of the nearest distance.

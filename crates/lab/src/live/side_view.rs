@@ -55,11 +55,9 @@ pub(super) struct Moment<'a> {
     /// The decoded frame.
     pub photo: &'a Photo,
     pub shot: &'a Shot,
-    /// Pose of the side view.
     pub side_pose: Pose,
     /// Whether the previous frame was shown too.
     pub follows: bool,
-    /// Tiles that were sent.
     pub sent: &'a [u32],
     /// Whether the reader's memory is measured by now.
     pub settled: bool,

@@ -36,7 +36,6 @@ pub struct Points {
     pub points: Vec<Point>,
     /// Skipped sequences, each with the reason.
     pub skipped: Vec<String>,
-    /// Total time in seconds.
     pub seconds: f64,
 }
 
@@ -117,7 +116,6 @@ impl Points {
             + &table(1, &lines)
     }
 
-    /// Where the side view is.
     fn place(&self) -> String {
         format!("side view {} to the right, the border of a room's view box", self.side_view)
     }
@@ -148,7 +146,6 @@ impl Points {
         })
     }
 
-    /// A curve for each sequence and size.
     fn curves(&self, x: &str) -> Vec<Curve> {
         let mut curves: Vec<Curve> = Vec::new();
         for Point { at, row } in &self.points {

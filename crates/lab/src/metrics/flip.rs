@@ -72,7 +72,6 @@ fn redistributed(error: f64, most: f64) -> f64 {
     if error < knee { PT / knee * error } else { PT + (error - knee) / (most - knee) * (1.0 - PT) }
 }
 
-/// A picture as the eye perceives it.
 struct Perceived {
     /// CIELAB after the eye's filters, adjusted by Hunt's effect.
     lab: Vec<[f64; 3]>,

@@ -7,7 +7,6 @@ use super::shape::Shape;
 use super::texture::Texture;
 use super::world::Light;
 
-/// Name of the family.
 pub(super) const NAME: &str = "inside";
 /// Fraction of scenes, if there are furnished models.
 const SHARE: f64 = 0.12;

@@ -83,7 +83,6 @@ impl Patch {
         Self::of(picture, (x, y), (side, side))
     }
 
-    /// A whole picture.
     pub fn whole(picture: &Arc<Levels>) -> Self {
         let (w, h) = (picture.levels[0].0 as f64, picture.levels[0].1 as f64);
         Self::of(picture, (0.0, 0.0), (w, h))

@@ -82,7 +82,6 @@ impl World {
         }
     }
 
-    /// A new group.
     pub fn group(&mut self) -> u32 {
         self.groups += 1;
         self.groups

@@ -67,7 +67,6 @@ impl Mesh {
         self.bounds.high
     }
 
-    /// Translates the mesh.
     pub fn shift(&mut self, by: V3) {
         self.triangles.iter_mut().flat_map(|t| &mut t.corners).for_each(|c| c.at = c.at + by);
         self.bounds = Aabb { low: self.bounds.low + by, high: self.bounds.high + by };
