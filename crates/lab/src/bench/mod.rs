@@ -143,11 +143,6 @@ impl Axis {
     }
 }
 
-/// Figures with names of their own.
-fn figures<const N: usize>(all: [(&str, f64); N]) -> Vec<(String, f64)> {
-    all.map(|(name, value)| (name.to_owned(), value)).into()
-}
-
 /// Curves on common axes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Experiment {

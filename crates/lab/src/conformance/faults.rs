@@ -14,7 +14,7 @@ use tmpi_render::{Cpu, RenderError, Renderer, View};
 use crate::oracle_depth;
 
 use super::{
-    Checked, Hosts, Kernel, Verdict, clustering, colours, compositing, error_target, levels, live_depth, live_motion, map_filters, matting,
+    Checked, Host, Kernel, Verdict, clustering, colours, compositing, error_target, levels, live_depth, live_motion, map_filters, matting,
     photos, quantisation, readers, stereo, view_box_corners, views,
 };
 
@@ -164,14 +164,14 @@ const FAULTS: &[Fault] = &[
             view.rgba.iter_mut().filter(|_| camera.pose.tz > 0.9985).for_each(|p| *p = [0; 4]);
             Ok(view)
         });
-        views::near(c, lost.all[0].as_ref());
+        views::near(c, lost[0].as_ref());
     }),
     // what cannot be drawn is a black picture
     fault("cameras", &["gpu"], &["pose of NaN", "focal length 0", "width 0", "8192×8193"], |c| {
         let drawn = hosts(|cpu, scene, camera| {
             Ok(cpu.render(scene, camera).unwrap_or(View { width: camera.width, height: camera.height, rgba: vec![[0; 4]; 640] }))
         });
-        views::refusals(c, drawn.all[0].as_ref());
+        views::refusals(c, drawn[0].as_ref());
     }),
     // of equals the first lies in front
     fault("compositing", &["gpu"], &["ties in depth, soft"], |c| {
@@ -180,7 +180,7 @@ const FAULTS: &[Fault] = &[
             scene.layers.reverse();
             cpu.render(&Arc::new(scene), camera)
         });
-        compositing::ties(c, first.all[0].as_ref(), 1.51);
+        compositing::ties(c, first[0].as_ref(), 1.51);
     }),
     // what covers the photo is missing along its left border, and all is darker
     fault(
@@ -240,7 +240,7 @@ const FAULTS: &[Fault] = &[
             scene.layers.pop();
             Some(Arc::new(scene))
         };
-        quantisation::options(c, hole, &Hosts { all: Vec::new() });
+        quantisation::options(c, hole, &[]);
     }),
     // half the way
     fault("quantisation", &["gpu"], &["views from the corners of the box"], |c| {
@@ -326,8 +326,8 @@ struct Faulty(Cpu, Drawn);
 
 type Drawn = fn(&Cpu, &Arc<Scene>, &Camera) -> Result<View, RenderError>;
 
-fn hosts(fault: Drawn) -> Hosts {
-    Hosts { all: vec![Arc::new(Faulty(Cpu::default(), fault))] }
+fn hosts(fault: Drawn) -> [Host; 1] {
+    [Arc::new(Faulty(Cpu::default(), fault))]
 }
 
 impl Renderer for Faulty {

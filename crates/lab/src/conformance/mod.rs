@@ -128,25 +128,22 @@ fn largest(errors: impl Iterator<Item = f64>) -> f64 {
     errors.fold(0.0, |most, error| if error.is_nan() { f64::INFINITY } else { most.max(error) })
 }
 
-/// The renderers that can be checked here: `reference`, `cpu`, and `gpu` on whatever adapter there is.
-struct Hosts {
-    all: Vec<Arc<dyn Renderer>>,
-}
+/// A renderer to check.
+type Host = Arc<dyn Renderer>;
 
-impl Hosts {
-    fn new(skipped: &mut Vec<String>) -> Self {
-        let mut all: Vec<Arc<dyn Renderer>> = vec![Arc::new(Reference), Arc::new(Cpu::default())];
-        match Gpu::new(true) {
-            Ok(gpu) => all.push(Arc::new(gpu)),
-            Err(reason) => skipped.push(format!("gpu: {reason}")),
-        }
-        Self { all }
+/// The renderers that can be checked here: `reference`, `cpu`, and `gpu` on whatever adapter there is.
+fn hosts(skipped: &mut Vec<String>) -> Vec<Host> {
+    let mut all: Vec<Host> = vec![Arc::new(Reference), Arc::new(Cpu::default())];
+    match Gpu::new(true) {
+        Ok(gpu) => all.push(Arc::new(gpu)),
+        Err(reason) => skipped.push(format!("gpu: {reason}")),
     }
+    all
 }
 
 pub fn run() -> Checked {
     let mut checked = Checked::default();
-    let hosts = Hosts::new(&mut checked.skipped);
+    let hosts = hosts(&mut checked.skipped);
     clustering::run(&mut checked);
     error_target::run(&mut checked);
     map_filters::run(&mut checked);

@@ -10,7 +10,7 @@ use tmpi_testing::pictures::{encoded, noise, wave, waves};
 use tmpi_testing::png::{Png, chunk};
 
 use super::scenes::own_camera;
-use super::{Checked, Hosts};
+use super::{Checked, Host};
 use crate::oracle_depth;
 use tmpi_core::{DisparityMap, Photo, Pose, Scene, container};
 use tmpi_pipeline::depth::{DepthError, Estimator};
@@ -129,11 +129,11 @@ fn off<const N: usize>(pixels: &[[u8; N]], width: u32, truth: impl Fn(u32, u32) 
     (0..).zip(pixels).flat_map(one).collect()
 }
 
-pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
+pub(super) fn run(checked: &mut Checked, hosts: &[Host]) {
     let models = oracle_depth::models(Brightness);
     for File { name, bytes, truth, view, .. } in readable() {
         let scene = made(&models, &bytes, &Options::default());
-        for host in &hosts.all {
+        for host in hosts {
             checked.case(FAMILY, &format!("{name}, identity view"), host.name(), "levels, rms", view, || {
                 let Some(drawn) = scene.as_ref().and_then(|s| host.render(s, &own_camera(s, Pose::default())).ok()) else {
                     return f64::INFINITY;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::photos::{Brightness, identity, made};
 use super::scenes::own_camera;
 use super::views::{bound, wrong};
-use super::{Checked, Hosts, cast, cast_in_layer_order};
+use super::{Checked, Host, cast, cast_in_layer_order};
 use crate::oracle_depth;
 use tmpi_core::{Camera, DisparityMap, Plane, Pose, Scene, ViewBox};
 use tmpi_pipeline::depth::{DepthKind, from_map, to_png};
@@ -17,7 +17,7 @@ use tmpi_testing::pictures::waves;
 /// Layers a tile at most, as [`tmpi_pipeline::planes::MAX_PLANES`] and one behind them.
 const LAYERS: usize = tmpi_pipeline::planes::MAX_PLANES as usize + 1;
 
-pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
+pub(super) fn run(checked: &mut Checked, hosts: &[Host]) {
     let models = oracle_depth::models(Brightness);
     let make = |file: &[u8], options: &Options| made(&models, file, options);
     rounding(checked, Plane::quantised);
@@ -69,7 +69,7 @@ fn moved(scene: &Scene) -> [Camera; 2] {
 }
 
 /// The way and the container at both ends of every option. `kernel` makes a photo.
-pub(super) fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Scene>>, hosts: &Hosts) {
+pub(super) fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Scene>>, hosts: &[Host]) {
     let file = waves(150, 100);
     let cpu = Cpu::default();
     let plain = Options::default;
@@ -94,7 +94,7 @@ pub(super) fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) ->
             identity(kernel(&file, &options).as_ref(), &cpu)
         });
         let scene = kernel(&file, &options);
-        for host in &hosts.all {
+        for host in hosts {
             let (host, name) = (host.as_ref(), format!("views from the corners of the box, {name}"));
             checked.case("quantisation", &name, host.name(), "% of pixels", bound(host), || {
                 let Some(scene) = &scene else { return f64::INFINITY };
