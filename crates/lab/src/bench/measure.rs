@@ -9,7 +9,7 @@ use super::figures::Figures;
 use super::subject::Subject;
 use crate::LabError;
 use crate::metrics::{self, ssim_map};
-use crate::oracle_depth::OracleDepth;
+use crate::oracle_depth::oracle;
 use tmpi_core::{DisparityMap, Photo, Pose, Scene, container};
 use tmpi_pipeline::depth::Estimator;
 use tmpi_pipeline::networks::{self, Network};
@@ -89,7 +89,7 @@ impl Bench<'_> {
                 None
             }
             (Depth::Degraded(how), Some(d)) => {
-                models.depth = Arc::new(OracleDepth(how(d)));
+                models.depth = Arc::new(oracle(how(d)));
                 None
             }
             _ => None,

@@ -11,8 +11,6 @@ use tmpi_pipeline::planes::{Placement, place, place_again, smooth_labels};
 use tmpi_pipeline::{Options, Parallax, edges};
 use tmpi_render::{Cpu, RenderError, Renderer, View};
 
-use crate::oracle_depth;
-
 use super::{
     Checked, Host, Kernel, Verdict, clustering, colours, compositing, error_target, levels, live_depth, live_motion, map_filters, matting,
     photos, quantisation, readers, stereo, view_box_corners, views,
@@ -234,7 +232,7 @@ const FAULTS: &[Fault] = &[
     }),
     // the nearest layer of all is lost
     fault("quantisation", &["container"], &["identity view"], |c| {
-        let models = oracle_depth::models(photos::Brightness);
+        let models = photos::by_brightness();
         let hole = |file: &[u8], options: &Options| {
             let mut scene = Scene::clone(&*photos::made(&models, file, options)?);
             scene.layers.pop();
@@ -244,7 +242,7 @@ const FAULTS: &[Fault] = &[
     }),
     // half the way
     fault("quantisation", &["gpu"], &["views from the corners of the box"], |c| {
-        let models = oracle_depth::models(photos::Brightness);
+        let models = photos::by_brightness();
         let half =
             hosts(|cpu, scene, camera| cpu.render(scene, &Camera { pose: Pose { tx: 0.5 * camera.pose.tx, ..camera.pose }, ..*camera }));
         quantisation::options(c, |file, options| photos::made(&models, file, options), &half);

@@ -13,7 +13,6 @@ use super::scenes::own_camera;
 use super::{Checked, Host};
 use crate::oracle_depth;
 use tmpi_core::{DisparityMap, Photo, Pose, Scene, container};
-use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::photo::{Decoded, Limits, PhotoError, decode};
 use tmpi_pipeline::{self, Models, Options, Silent};
 use tmpi_render::Renderer;
@@ -21,17 +20,12 @@ use tmpi_render::Renderer;
 const FAMILY: &str = "photos";
 
 /// Depth by brightness: edges wherever the photo has them, for photos of any shape, without a network.
-pub(super) struct Brightness;
-
-impl Estimator for Brightness {
-    fn name(&self) -> &'static str {
-        "brightness"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+pub(super) fn by_brightness() -> Models {
+    let estimate = |photo: &Photo| {
         let delta = photo.rgb.iter().map(|p| p.iter().map(|&v| f32::from(v)).sum::<f32>() / 765.0).collect();
         Ok(DisparityMap { width: photo.width, height: photo.height, delta })
-    }
+    };
+    oracle_depth::models(("brightness", estimate))
 }
 
 /// Colour of a pixel, 0 to 255.
@@ -130,7 +124,7 @@ fn off<const N: usize>(pixels: &[[u8; N]], width: u32, truth: impl Fn(u32, u32) 
 }
 
 pub(super) fn run(checked: &mut Checked, hosts: &[Host]) {
-    let models = oracle_depth::models(Brightness);
+    let models = by_brightness();
     for File { name, bytes, truth, view, .. } in readable() {
         let scene = made(&models, &bytes, &Options::default());
         for host in hosts {

@@ -2,11 +2,10 @@
 
 use std::sync::Arc;
 
-use super::photos::{Brightness, identity, made};
+use super::photos::{by_brightness, identity, made};
 use super::scenes::own_camera;
 use super::views::{bound, wrong};
 use super::{Checked, Host, cast, cast_in_layer_order};
-use crate::oracle_depth;
 use tmpi_core::{Camera, DisparityMap, Plane, Pose, Scene, ViewBox};
 use tmpi_pipeline::depth::{DepthKind, from_map, to_png};
 use tmpi_pipeline::photo::Limits;
@@ -18,7 +17,7 @@ use tmpi_testing::pictures::waves;
 const LAYERS: usize = tmpi_pipeline::planes::MAX_PLANES as usize + 1;
 
 pub(super) fn run(checked: &mut Checked, hosts: &[Host]) {
-    let models = oracle_depth::models(Brightness);
+    let models = by_brightness();
     let make = |file: &[u8], options: &Options| made(&models, file, options);
     rounding(checked, Plane::quantised);
     sixteen_bits(checked, |map| {

@@ -154,7 +154,7 @@ pub(super) fn picture(path: &Path, width: u32, height: u32) -> Result<Vec<[u8; 3
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::oracle_depth::OracleDepth;
+    use crate::oracle_depth::oracle;
 
     #[test]
     fn unknown_disparities_are_those_of_what_lies_behind() {
@@ -167,8 +167,8 @@ mod tests {
     }
 
     /// No pair of these is measured.
-    fn none() -> OracleDepth {
-        OracleDepth(DisparityMap { width: 0, height: 0, delta: Vec::new() })
+    fn none() -> impl Estimator {
+        oracle(DisparityMap { width: 0, height: 0, delta: Vec::new() })
     }
 
     #[test]
