@@ -193,6 +193,11 @@ fn write_picture(folder: &Path, prefix: &str, p: &Picture) -> anyhow::Result<()>
 
 #[cfg(test)]
 mod tests {
+    use std::ffi::OsStr;
+
+    use clap::Parser as _;
+
+    use super::super::{Cli, Command};
     use super::*;
 
     #[test]
@@ -214,21 +219,9 @@ mod tests {
     #[test]
     fn written_scenes_can_be_read_back() -> anyhow::Result<()> {
         let folder = tempfile::tempdir()?;
-        let args = SynthArgs {
-            output: folder.path().into(),
-            count: 2,
-            seed: 5,
-            size: Some((64, 48)),
-            views: 1,
-            baseline: 0.05,
-            hidden: true,
-            layers: true,
-            supersampling: 1,
-            pictures: None,
-            models: None,
-            models_up: Up::Y,
-            resume: false,
-        };
+        let words = "tmpi-lab synth --count 2 --seed 5 --size 64x48 --views 1 --baseline 0.05 --hidden --layers --supersampling 1 --output";
+        let words = words.split(' ').map(OsStr::new).chain([folder.path().as_os_str()]);
+        let Cli { command: Command::Synth(args) } = Cli::try_parse_from(words)? else { panic!("another command") };
         run(&args)?;
         let scene = Scene::framed(6, 64, 48);
         let picture = scene.render(&scene.camera(), 1);
