@@ -17,16 +17,8 @@ pub(super) struct Log<'a> {
 
 impl<'a> Log<'a> {
     pub fn new(settings: &'a Settings, progress: &'a dyn Fn(&str)) -> Result<Self, LabError> {
-        let results = Results {
-            version: env!("CARGO_PKG_VERSION").into(),
-            machine: Machine::this(),
-            subjects: Vec::new(),
-            repeats: settings.flags.repeats.map_or(if settings.flags.quick { 3 } else { 5 }, usize::from),
-            experiments: Vec::new(),
-            costs: None,
-            skipped: Vec::new(),
-            seconds: 0.0,
-        };
+        let repeats = settings.flags.repeats.map_or(if settings.flags.quick { 3 } else { 5 }, usize::from);
+        let results = Results { version: env!("CARGO_PKG_VERSION").into(), machine: Machine::this(), repeats, ..Results::default() };
         let path = settings.flags.output.join(RESULTS);
         let mut log = Self { settings, results, progress, start: Instant::now() };
         if settings.flags.resume && path.exists() {

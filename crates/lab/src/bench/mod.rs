@@ -154,7 +154,7 @@ pub struct Experiment {
     pub curves: Vec<Curve>,
 }
 
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Results {
     /// Version of the program.
     pub version: String,

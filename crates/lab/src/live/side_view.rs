@@ -17,6 +17,7 @@ use crate::bench::{Figures, compared};
 type Colours = Vec<Vec<Vec<[u8; 3]>>>;
 
 /// A reader that remembers colours, like a page.
+#[derive(Default)]
 pub(super) struct Reader {
     pub model: Option<TileState>,
     layers: Layers,
@@ -66,16 +67,7 @@ pub(super) struct Moment<'a> {
 impl Reader {
     /// A reader whose labels follow motion for up to `follow` frames.
     pub fn new(follow: u32) -> Self {
-        Self {
-            model: None,
-            layers: Layers::with_memory().with_motion_frames(follow),
-            in_flight: VecDeque::new(),
-            changed: Vec::new(),
-            renderer: Cpu::default(),
-            last: None,
-            inpainted: Mean::default(),
-            remembered: Mean::default(),
-        }
+        Self { layers: Layers::with_memory().with_motion_frames(follow), ..Self::default() }
     }
 
     /// Queues sent tiles, and decodes those sent `late` frames ago. Returns the indices of new tiles and their frame.
