@@ -263,7 +263,7 @@ pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Res
         vec![max_error(quick, (MS, VIEW)), planes(quick, (MS, VIEW)), tiles(quick), quality(quick), prune(quick), view_box(quick)];
     plans.extend(sizes(quick));
     if let Err(reason) = networks::available() {
-        log.skip(format!("denoise networks: {}", brief(&reason)));
+        log.results.skipped.push(format!("denoise networks: {}", brief(&reason)));
     } else {
         plans.push(denoise(bench.models.theta.is_some()));
     }
@@ -272,7 +272,7 @@ pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Res
 
 pub(super) fn on_photos(bench: &Bench, photos: &[Subject], log: &mut Log) -> Result<(), LabError> {
     if let Err(reason) = networks::available() {
-        log.skip(format!("photos: {}", brief(&reason)));
+        log.results.skipped.push(format!("photos: {}", brief(&reason)));
         return Ok(());
     }
     let mut plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };

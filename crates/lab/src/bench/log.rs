@@ -51,10 +51,6 @@ impl<'a> Log<'a> {
         if self.starts(id) { self.add(experiment()?) } else { Ok(()) }
     }
 
-    pub fn skip(&mut self, reason: String) {
-        self.results.skipped.push(reason);
-    }
-
     /// Adds an experiment, and writes all.
     pub fn add(&mut self, mut experiment: Experiment) -> Result<(), LabError> {
         experiment.mark();
@@ -96,7 +92,7 @@ mod tests {
         let settings = with(flags.clone());
         let mut log = Log::new(&settings, &|_| {}).unwrap();
         assert!(log.wants("e") && log.wants("f"));
-        log.skip("gpu: none & nothing".into());
+        log.results.skipped.push("gpu: none & nothing".into());
         let mut measured = experiment(&[(1.0, 10.0), (20.0, 30.0)]);
         measured.curves[0].points[1].ranges = vec![("ms".into(), [18.0, 25.0])];
         log.add(measured).unwrap();

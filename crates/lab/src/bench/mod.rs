@@ -178,7 +178,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabE
     if log.starts("scaling") {
         match photo_size::run(quick, repeats) {
             Ok(both) => both.into_iter().try_for_each(|e| log.add(e))?,
-            Err(reason) => log.skip(format!("scaling: {reason}")),
+            Err(reason) => log.results.skipped.push(format!("scaling: {reason}")),
         }
     }
     progress("rendering scenes");

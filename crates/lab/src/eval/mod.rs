@@ -291,7 +291,7 @@ fn scored(
     }
     let mut score = mask.score(&drawn.rgb, &truth.rgb);
     score.lpips = lpips.map(|network| mask.lpips(network, &drawn.rgb, &truth.rgb)).transpose()?;
-    let sources = parts.sources(&drawn.rgb, &truth.rgb, mask.inside());
+    let sources = parts.sources(&drawn.rgb, &truth.rgb, &mask.inside);
     Ok(Scored { score, sources, blank: mask.share(|i| drawn.blank[i]), ms })
 }
 

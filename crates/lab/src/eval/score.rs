@@ -45,7 +45,7 @@ impl Score {
 /// The part of a view that is scored.
 pub(super) struct Mask {
     pub width: usize,
-    inside: Vec<bool>,
+    pub inside: Vec<bool>,
     /// Scored pixels beside a depth border, and scored pixels that the photo does not show.
     beside: Vec<bool>,
     uncovered: Vec<bool>,
@@ -83,10 +83,6 @@ impl Mask {
         let near = beside(width, depth);
         let among = |of: &dyn Fn(usize) -> bool| (0..covered.len()).map(|i| inside[i] && of(i)).collect();
         Self { width, beside: among(&|i| near[i]), uncovered: among(&|i| !covered[i]), inside }
-    }
-
-    pub fn inside(&self) -> &[bool] {
-        &self.inside
     }
 
     /// Share of the scored pixels for which `blank` is true.

@@ -128,7 +128,7 @@ fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<St
 }
 
 fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64) -> Room {
-    let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
+    let (k, width) = (sequence.camera.intrinsics, 2.0 * sequence.camera.intrinsics.cx);
     let Flags { parallax, max_error, cooldown_ms, .. } = settings.flags;
     let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error, view_box: VIEW_BOX, ..Options::default() };
     Room { options, parallax, cooldown: Duration::from_millis(cooldown_ms.into()), frame_ms }

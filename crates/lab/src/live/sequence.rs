@@ -1,6 +1,6 @@
 //! Rendered sequences with exact disparity and exact side views.
 
-use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
+use tmpi_core::{Camera, DisparityMap, Photo, Pose};
 
 use crate::scenes::{Picture, Scene};
 
@@ -77,7 +77,7 @@ pub struct Sequence {
     /// Each scene without the object, from the camera and from the side.
     still: Vec<[Picture; 2]>,
     paint: Photo,
-    camera: Camera,
+    pub camera: Camera,
     /// Offset of the side view to the right, in units of the nearest distance.
     side_offset: f64,
 }
@@ -103,10 +103,6 @@ impl Sequence {
             self.paint_object(n, (tx, ty), &mut picture);
         }
         picture.photo
-    }
-
-    pub const fn intrinsics(&self) -> Intrinsics {
-        self.camera.intrinsics
     }
 
     /// Pose of the side view, relative to the frame's camera.

@@ -36,7 +36,7 @@ impl Build<'_> {
     /// Sometimes places a model of similar size instead of an object of `size` metres at `at`, if there are models. Returns whether it did;
     /// otherwise the caller builds the object.
     pub fn place_model(&mut self, at: V3, size: f64, yaw: f64) -> bool {
-        let Some(model) = self.rng.models().similar(self.rng, size) else { return false };
+        let Some(model) = self.rng.assets.models.similar(self.rng, size) else { return false };
         let (g, turned) = (self.w.group(), yaw + f64::from(self.rng.int(0, 3)) * std::f64::consts::FRAC_PI_2);
         let (scale, surface) = (self.rng.range(0.85, 1.15), Texture::plain(self.rng, v3(1.0, 1.0, 1.0)).glossy(0.1));
         for part in model.parts.iter() {

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::bvh::Aabb;
 use super::cutout::CutoutShape;
 use super::math::{V3, v3};
 use super::model::Mesh;
@@ -201,7 +202,10 @@ impl Shape {
             Self::Cuboid(h) | Self::Ellipsoid(h) => Some((*h, zero)),
             Self::Cylinder(h, a, b) => Some((v3(a.max(*b), *h, a.max(*b)), zero)),
             Self::Torus(ring, tube) => Some((v3(ring + tube, ring + tube, *tube), zero)),
-            Self::Mesh(m, scale) => Some(((m.high() - m.low()) * (0.5 * scale), (m.high() + m.low()) * (0.5 * scale))),
+            Self::Mesh(m, scale) => {
+                let Aabb { low, high } = m.bounds;
+                Some(((high - low) * (0.5 * scale), (high + low) * (0.5 * scale)))
+            }
             Self::Field(f) => Some((v3(f.half, 0.5 * (f.high - f.low) + 1e-6, f.half), v3(0.0, -0.5 * (f.high + f.low), 0.0))),
         }
     }

@@ -149,7 +149,7 @@ impl Texture {
         let w = width / self.scale;
         if let Some((patch, hue)) = &self.patch {
             let c = patch.at(u / PERIODS, v / PERIODS, w / PERIODS);
-            let m = patch.mean();
+            let m = patch.mean;
             let bright = c.dot(LUMA) / m.dot(LUMA).max(0.02);
             let own = self.colours[0] * bright.min(3.0);
             return own.lerp(c, *hue);

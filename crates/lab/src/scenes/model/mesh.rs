@@ -37,7 +37,7 @@ struct Triangle {
 pub struct Mesh {
     triangles: Vec<Triangle>,
     material: Material,
-    bounds: Aabb,
+    pub bounds: Aabb,
     tree: Bvh,
 }
 
@@ -57,14 +57,6 @@ impl Mesh {
         let corners = || triangles.iter().flat_map(|t| t.corners).map(|c| c.at);
         let bounds = Aabb { low: corners().reduce(V3::min)?, high: corners().reduce(V3::max)? };
         Some(Self { tree: Self::tree(&triangles), triangles, material, bounds })
-    }
-
-    pub const fn low(&self) -> V3 {
-        self.bounds.low
-    }
-
-    pub const fn high(&self) -> V3 {
-        self.bounds.high
     }
 
     pub fn shift(&mut self, by: V3) {

@@ -79,8 +79,8 @@ impl Model {
     /// [`ModelError`].
     pub fn read(bytes: &[u8], up: Up) -> Result<Self, ModelError> {
         let mut parts = read::parts(bytes, up)?;
-        let low = parts.iter().map(Mesh::low).reduce(V3::min).ok_or(ModelError::Nothing)?;
-        let high = parts.iter().map(Mesh::high).reduce(V3::max).ok_or(ModelError::Nothing)?;
+        let low = parts.iter().map(|m| m.bounds.low).reduce(V3::min).ok_or(ModelError::Nothing)?;
+        let high = parts.iter().map(|m| m.bounds.high).reduce(V3::max).ok_or(ModelError::Nothing)?;
         let foot = v3(0.5 * (low.x + high.x), high.y, 0.5 * (low.z + high.z));
         for part in &mut parts {
             part.shift(-foot);
