@@ -18,7 +18,7 @@ use self::error_sources::Parts;
 pub use self::error_sources::Sources;
 pub use self::score::{DepthScore, Score};
 use self::score::{Fit, Mask};
-use crate::table::{row, table};
+use crate::table::table;
 use crate::{LabError, files};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 use tmpi_pipeline::networks::{Config, Session};
@@ -320,8 +320,7 @@ impl Results {
             let _ = write!(out, ", {} left out: more than {:.0} % blank in some way", self.blank, 100.0 * BLANK);
         }
         let _ = writeln!(out, "; depth: {}", if self.depth == Depth::Own { "estimated" } else { "true" });
-        let head =
-            row(["way", "PSNR", "borders", "uncovered", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"]);
+        let head = ["way", "PSNR", "borders", "uncovered", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"];
         let line = |r: &Row| {
             let s = r.score;
             let [psnr, borders, uncovered] = [s.psnr, s.borders, s.uncovered].map(|v| format!("{v:.2}"));
@@ -331,7 +330,7 @@ impl Results {
             let [kb, texels, planes] = [format!("{:.1}", r.bytes / 1e3), format!("{:.2}", r.texels_m), format!("{:.2}", r.planes)];
             vec![r.way.into(), psnr, borders, uncovered, ssim, l1, flip, lpips, make, draw, kb, texels, planes]
         };
-        out += &table(1, &std::iter::once(head).chain(self.rows.iter().map(line)).collect::<Vec<_>>());
+        out += &table(1, &head, self.rows.iter().map(line));
         out += &error_sources::table(self.depth, &self.rows);
         if let Some(d) = self.depth_score {
             let _ = write!(

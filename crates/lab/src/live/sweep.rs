@@ -94,26 +94,25 @@ impl Points {
                 names.push(name);
             }
         }
-        let line = |name: &str, of: &dyn Fn(&Row) -> String| {
-            std::iter::once(name.to_owned()).chain(self.points.iter().map(|p| of(&p.row))).collect::<Vec<_>>()
+        let head: Vec<&str> = std::iter::once("").chain(self.points.iter().map(|p| p.row.sequence)).collect();
+        let line = |name: &str| {
+            let figure = |p: &Point| p.row.get(name).map_or(String::new(), |v| format!("{v:.3}"));
+            std::iter::once(name.to_owned()).chain(self.points.iter().map(figure)).collect::<Vec<_>>()
         };
-        let mut lines = vec![line("", &|row| row.sequence.into())];
-        lines.extend(names.into_iter().map(|name| line(name, &|row| row.get(name).map_or(String::new(), |v| format!("{v:.3}")))));
-        self.points.first().map_or(String::new(), |p| format!("{}, {} frames; {}\n", p.at, self.frames, self.place())) + &table(1, &lines)
+        self.points.first().map_or(String::new(), |p| format!("{}, {} frames; {}\n", p.at, self.frames, self.place()))
+            + &table(1, &head, names.into_iter().map(line))
     }
 
     fn lines(&self) -> String {
-        let head =
-            ["sequence", "size", "target", "budget ms"].into_iter().chain(FIGURES.map(|f| f.0)).map(String::from).collect::<Vec<_>>();
+        let head: Vec<&str> = ["sequence", "size", "target", "budget ms"].into_iter().chain(FIGURES.map(|f| f.0)).collect();
         let line = |Point { at, row }: &Point| {
             let budget = if at.budget_ms > 0.0 { at.budget_ms.to_string() } else { "none".into() };
             let own = [row.sequence.to_owned(), format!("{}x{}", at.size.0, at.size.1), (at.bitrate / 1000).to_string(), budget];
             let figures = FIGURES.map(|(_, name, digits)| row.get(name).map_or(String::new(), |v| format!("{v:.digits$}")));
             own.into_iter().chain(figures).collect::<Vec<_>>()
         };
-        let lines: Vec<Vec<String>> = std::iter::once(head).chain(self.points.iter().map(line)).collect();
         format!("{} frames per sequence; PSNR in dB, SSIM and flicker (levels) of the side view; {}\n", self.frames, self.place())
-            + &table(1, &lines)
+            + &table(1, &head, self.points.iter().map(line))
     }
 
     fn place(&self) -> String {
