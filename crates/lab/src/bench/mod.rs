@@ -25,6 +25,7 @@ mod subject;
 use std::borrow::Cow;
 use std::path::PathBuf;
 
+use clap::builder::PossibleValuesParser;
 use serde::{Deserialize, Serialize};
 
 use crate::LabError;
@@ -50,7 +51,7 @@ pub struct Flags {
     #[arg(long, value_name = "DIR")]
     pub photos: Vec<PathBuf>,
     /// Run only these experiments
-    #[arg(long, value_delimiter = ',', value_parser = EXPERIMENTS, value_name = "NAME,…")]
+    #[arg(long, value_delimiter = ',', value_parser = PossibleValuesParser::new(EXPERIMENTS.split(' ')), value_name = "NAME,…")]
     pub only: Vec<String>,
     /// Keep the experiments of an earlier run that are in the folder, and run only the others
     #[arg(long)]
@@ -69,31 +70,9 @@ pub struct Settings {
     pub networks: tmpi_pipeline::networks::models::Settings,
 }
 
-pub const EXPERIMENTS: [&str; 23] = [
-    "scaling",
-    "max-error",
-    "planes",
-    "tiles",
-    "quality",
-    "prune",
-    "view-box",
-    "size",
-    "levels",
-    "denoise",
-    "depth",
-    "depth-smoothing",
-    "depth-ramp",
-    "depth-mirror",
-    "ramps",
-    "without",
-    "labels",
-    "photos",
-    "discretisation",
-    "backgrounds",
-    "least-size",
-    "beyond",
-    "budget",
-];
+/// Names of the experiments.
+const EXPERIMENTS: &str = "scaling max-error planes tiles quality prune view-box size levels denoise depth depth-smoothing depth-ramp \
+    depth-mirror ramps without labels photos discretisation backgrounds least-size beyond budget";
 
 /// A measured setting: means over all subjects.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]

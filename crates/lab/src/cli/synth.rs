@@ -65,21 +65,10 @@ const MAX_PIXELS: u64 = 50_000_000;
 
 /// A size that depends on the seed: multiples of 32, area about 256 × 384, aspect 9:16 to 16:9 and sometimes 1:3 to 3:1.
 fn varied_size(seed: u64) -> (u32, u32) {
-    const SIZES: [(u32, u32); 12] = [
-        (384, 256),
-        (352, 288),
-        (256, 384),
-        (416, 224),
-        (320, 320),
-        (384, 256),
-        (288, 352),
-        (352, 256),
-        (416, 256),
-        (224, 416),
-        (544, 192),
-        (192, 512),
-    ];
-    SIZES[(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33) as usize % SIZES.len()]
+    const WIDTHS: [u32; 12] = [384, 352, 256, 416, 320, 384, 288, 352, 416, 224, 544, 192];
+    const HEIGHTS: [u32; 12] = [256, 288, 384, 224, 320, 256, 352, 256, 256, 416, 192, 512];
+    let which = (seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33) as usize % WIDTHS.len();
+    (WIDTHS[which], HEIGHTS[which])
 }
 
 pub(super) fn run(args: &SynthArgs) -> anyhow::Result<()> {

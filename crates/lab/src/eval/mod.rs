@@ -63,10 +63,6 @@ fn ways() -> Vec<(&'static str, Option<Options>)> {
     ]
 }
 
-pub fn names() -> Vec<&'static str> {
-    ways().into_iter().map(|w| w.0).collect()
-}
-
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Row {
     pub way: &'static str,
@@ -124,7 +120,7 @@ pub struct Settings {
     #[arg(long, value_enum, default_value_t, value_name = "DEPTH")]
     pub depth: Depth,
     /// Run only these methods
-    #[arg(long, value_delimiter = ',', value_parser = names(), value_name = "WAY,…")]
+    #[arg(long, value_delimiter = ',', value_parser = ways().into_iter().map(|way| way.0).collect::<Vec<_>>(), value_name = "WAY,…")]
     pub only: Vec<String>,
     /// Also compute LPIPS with this network: an ONNX file with two inputs [1, 3, height, width] in −1 to 1
     #[arg(long, value_name = "FILE.onnx")]

@@ -11,6 +11,7 @@ mod tiles;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::ValueEnum;
 use serde::{Serialize, Serializer};
 
 use crate::LabError;
@@ -111,7 +112,7 @@ impl Row {
 /// Measures all sequences, and calls `progress` with the name of each; returns a row for each, and those that were skipped with the reason.
 fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<String>), LabError> {
     let (mut rows, mut skipped) = (Vec::new(), Vec::new());
-    for kind in Kind::ALL {
+    for &kind in Kind::value_variants() {
         if settings.flags.only.is_some_and(|only| only != kind) {
             continue;
         }

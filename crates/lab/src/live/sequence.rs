@@ -1,11 +1,12 @@
 //! Rendered sequences with exact disparity and exact side views.
 
+use clap::ValueEnum;
 use tmpi_core::{Camera, DisparityMap, Photo, Pose};
 
 use crate::scenes::{Picture, Scene};
 
 /// Kind of a sequence.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Kind {
     /// A still camera, and a person-sized object that moves to and fro.
     Still,
@@ -18,8 +19,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    pub const ALL: [Self; 4] = [Self::Still, Self::Measured, Self::Moving, Self::Cut];
-
     /// Name in results.
     pub const fn name(self) -> &'static str {
         match self {
@@ -30,14 +29,9 @@ impl Kind {
         }
     }
 
-    /// Name in file names.
-    pub const fn slug(self) -> &'static str {
-        match self {
-            Self::Still => "still",
-            Self::Measured => "measured",
-            Self::Moving => "moving",
-            Self::Cut => "cut",
-        }
+    /// Name in file names and on the command line.
+    pub fn slug(self) -> String {
+        self.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned())
     }
 }
 
