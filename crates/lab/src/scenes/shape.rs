@@ -117,8 +117,7 @@ pub(super) fn slab(o: V3, d: V3, h: V3) -> Option<(f64, f64)> {
     (t0 <= t1).then_some((t0, t1))
 }
 
-fn first(ts: [f64; 2], near: f64, far: f64, ok: impl Fn(f64) -> bool) -> Option<f64> {
-    let mut ts = ts;
+fn first(mut ts: [f64; 2], near: f64, far: f64, ok: impl Fn(f64) -> bool) -> Option<f64> {
     if ts[0] > ts[1] {
         ts.swap(0, 1);
     }
