@@ -21,7 +21,6 @@ mod room;
 /// Runs a reader on the bytes and panics if it breaks its promise; returns the bound of its memory in bytes.
 pub type Run = fn(&[u8]) -> usize;
 
-/// All targets by name.
 pub const TARGETS: [(&str, Run); 27] = [
     ("container", container),
     ("built", built),

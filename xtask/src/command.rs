@@ -38,7 +38,6 @@ impl fmt::Display for Fault {
     }
 }
 
-/// The workspace's root folder.
 pub fn root() -> PathBuf {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     here.parent().unwrap_or(here).to_owned()
@@ -63,7 +62,6 @@ impl Profile {
     }
 }
 
-/// Cargo's target folder.
 pub fn target() -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), |t| root().join(t))
 }
@@ -117,22 +115,26 @@ pub fn say(text: &str) {
     });
 }
 
+/// The error of a program that does not start.
+pub fn not_started(command: &Command, error: &std::io::Error) -> Fault {
+    Fault::new(format!("cannot start `{}`: {error}", command_line(command)))
+}
+
 /// Runs a program and shows its output.
 pub fn run(mut command: Command) -> Result<(), Fault> {
-    let failed = |e: std::io::Error, command: &Command| Fault::new(format!("cannot start `{}`: {e}", command_line(command)));
     let status = if CAPTURED.with_borrow(Option::is_some) {
-        let output = command.output().map_err(|e| failed(e, &command))?;
+        let output = command.output().map_err(|e| not_started(&command, &e))?;
         say(&[output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).into_owned()).concat());
         output.status
     } else {
-        command.status().map_err(|e| failed(e, &command))?
+        command.status().map_err(|e| not_started(&command, &e))?
     };
     if status.success() { Ok(()) } else { Err(Fault::new(format!("`{}`: {status}", command_line(&command)))) }
 }
 
 /// Runs a program and returns its output, standard output before standard error.
 pub fn run_quietly(mut command: Command) -> Result<String, Fault> {
-    let output = command.output().map_err(|e| Fault::new(format!("cannot start `{}`: {e}", command_line(&command))))?;
+    let output = command.output().map_err(|e| not_started(&command, &e))?;
     let text = [output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).trim().to_owned()).join("\n");
     if output.status.success() {
         return Ok(text);
@@ -158,7 +160,7 @@ pub fn output(program: &str, args: &[&str]) -> Option<String> {
 pub fn exec(mut command: Command) -> Result<(), Fault> {
     use std::os::unix::process::CommandExt;
     let error = command.exec();
-    Err(Fault::new(format!("cannot start `{}`: {error}", command_line(&command))))
+    Err(not_started(&command, &error))
 }
 
 /// Runs a program as the last action of this one.
@@ -178,7 +180,6 @@ pub fn in_parallel<T: Send, R: Send>(threads: usize, items: impl Iterator<Item =
     })
 }
 
-/// Number of CPU cores.
 pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }

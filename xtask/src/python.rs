@@ -58,18 +58,21 @@ fn cache(name: &str) -> PathBuf {
     folder.unwrap_or_else(|| root().join(".tmpi")).join("tmpi").join(name)
 }
 
+fn openapi_check(python: PathBuf, part: &str) -> Command {
+    let mut check = Command::new(python);
+    check.args(["tests/openapi/check.py", "--only", part]).current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
+    check
+}
+
 /// Lints the `OpenAPI` document that a server returns.
 pub fn openapi() -> Result<(), Fault> {
-    tools::openapi_packages()?;
-    let mut check = Command::new("python3");
-    check.args(["tests/openapi/check.py", "--only", "lint"]).current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
-    run(check)
+    tools::node_packages("tests/openapi")?;
+    run(openapi_check("python3".into(), "lint"))
 }
 
 /// Sends a server requests that conform to its `OpenAPI` document, and requests that violate it.
 pub fn openapi_requests() -> Result<(), Fault> {
-    let mut check = Command::new(environment("schemathesis", "tests/openapi/requirements.txt")?);
-    check.args(["tests/openapi/check.py", "--only", "play"]).current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
+    let mut check = openapi_check(environment("schemathesis", "tests/openapi/requirements.txt")?, "play");
     runtime::set_env(&mut check);
     run(check)
 }

@@ -5,9 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::OFFLINE;
 use crate::command::{Fault, Profile, built, cargo, output, root, run, run_quietly};
-use crate::runtime;
+use crate::{OFFLINE, runtime};
 
 /// Files of the workspace to include, and their paths in the archive.
 const FILES: [(&str, &str); 5] = [
@@ -38,7 +37,8 @@ pub fn release(args: &[String]) -> Result<(), Fault> {
     let mut tar = Command::new("tar");
     tar.arg("-czf").arg(&archive).arg(&name).current_dir(&folder);
     run_quietly(tar).map_err(step("archive"))?;
-    let trial_folder = temporary_folder(&folder)?;
+    let trial_folder = folder.join(format!("try-{}", std::process::id()));
+    fs::create_dir_all(&trial_folder).map_err(|e| Fault::at(&trial_folder, &e))?;
     let done = try_out(&folder.join(&archive), &trial_folder, &name).map_err(step("trial"));
     let _ = fs::remove_dir_all(&trial_folder);
     done?;
@@ -130,13 +130,6 @@ fn licence_texts(package: &str) -> Vec<String> {
     let mut found: Vec<PathBuf> = sources.flat_map(|index| files(index.join(package))).filter(is_licence).collect();
     found.sort();
     found.iter().filter_map(|path| fs::read_to_string(path).ok()).collect()
-}
-
-/// Creates a temporary folder.
-fn temporary_folder(folder: &Path) -> Result<PathBuf, Fault> {
-    let path = folder.join(format!("try-{}", std::process::id()));
-    fs::create_dir_all(&path).map_err(|e| Fault::at(&path, &e))?;
-    Ok(path)
 }
 
 /// Unpacks the archive, then processes, renders and exports the sample photo with it, without any variable of this environment.

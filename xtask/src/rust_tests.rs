@@ -6,10 +6,9 @@ use std::time::Instant;
 
 use serde_json::Value;
 
-use crate::command::{Fault, Profile, cargo, command_line, cores, data, in_parallel, run, say};
+use crate::command::{Fault, Profile, cargo, command_line, cores, data, in_parallel, not_started, run, say};
 use crate::{runtime, tools};
 
-/// A test program that cargo has built.
 struct TestProgram {
     /// Folder of the package, and target if it has another name: `core codec`.
     name: String,
@@ -18,7 +17,6 @@ struct TestProgram {
     folder: PathBuf,
 }
 
-/// How a test program ended.
 struct Outcome {
     name: String,
     counts: Counts,
@@ -50,8 +48,7 @@ fn programs() -> Result<Vec<TestProgram>, Fault> {
     lint(&mut command);
     command.stdout(Stdio::piped());
     let child = command.spawn();
-    let output =
-        child.and_then(Child::wait_with_output).map_err(|e| Fault::new(format!("cannot start `{}`: {e}", command_line(&command))))?;
+    let output = child.and_then(Child::wait_with_output).map_err(|e| not_started(&command, &e))?;
     if !output.status.success() {
         return Err(Fault::new(format!("`{}`: {}", command_line(&command), output.status)));
     }
@@ -88,7 +85,7 @@ impl TestProgram {
         command.env("RUST_TEST_THREADS", (2 * cores()).to_string());
         runtime::set_env(&mut command);
         tools::set_env(&mut command);
-        let output = command.output().map_err(|e| Fault::new(format!("cannot start {}: {e}", self.executable.display())))?;
+        let output = command.output().map_err(|e| not_started(&command, &e))?;
         let text = [output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).into_owned()).concat();
         // a program that prints no counts has crashed
         let aborted = Counts { failed: 1, ..Counts::default() };

@@ -21,7 +21,6 @@ pub fn clear() -> Result<(), Fault> {
     fs::create_dir_all(target()).and_then(|()| fs::write(&file, "")).map_err(|e| Fault::at(&file, &e))
 }
 
-/// Appends a skipped test.
 pub fn add(need: &str, test: &str, reason: &str) -> Result<(), Fault> {
     let file = file();
     let open = fs::OpenOptions::new().append(true).create(true).open(&file);

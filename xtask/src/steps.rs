@@ -24,7 +24,6 @@ pub enum AfterFailure {
     GoOn,
 }
 
-/// How a step ended.
 struct Outcome {
     name: &'static str,
     seconds: f64,

@@ -49,8 +49,8 @@ pub fn may_install() -> bool {
 
 /// Installs missing tools, as far as this user has the rights.
 pub fn fetch() -> Result<(), Fault> {
-    if SKIP_MISSING.load(Ordering::Relaxed) {
-        return node_packages();
+    if !may_install() {
+        return node_packages(BROWSER_TESTS);
     }
     let missing: Vec<&str> = DEBIAN.iter().filter(|p| !(p.is_installed)()).map(|p| p.name).collect();
     if !missing.is_empty() {
@@ -60,7 +60,7 @@ pub fn fetch() -> Result<(), Fault> {
     if version.trim_start_matches('v').split('.').next().and_then(|v| v.parse::<u32>().ok()).is_none_or(|v| v < NODE) {
         return Err(Fault::new(format!("the browser tests need Node {NODE} or newer, not {version}")));
     }
-    node_packages()?;
+    node_packages(BROWSER_TESTS)?;
     s3_server()
 }
 
@@ -75,7 +75,7 @@ pub fn set_env(tests: &mut Command) {
     if let Some(chromium) = chromium() {
         tests.env("CHROMIUM", chromium);
     }
-    tests.env("TMPI_REQUIRE", if SKIP_MISSING.load(Ordering::Relaxed) { "" } else { INSTALLED });
+    tests.env("TMPI_REQUIRE", if may_install() { INSTALLED } else { "" });
     tests.env(crate::skipped::VARIABLE, crate::skipped::file());
 }
 
@@ -134,18 +134,8 @@ fn has_software_vulkan() -> bool {
         .any(|entry| entry.file_name().to_string_lossy().starts_with("lvp_icd"))
 }
 
-/// Installs the packages of the browser tests.
-fn node_packages() -> Result<(), Fault> {
-    clean_install(BROWSER_TESTS)
-}
-
-/// Installs the linters of the `OpenAPI` document.
-pub fn openapi_packages() -> Result<(), Fault> {
-    clean_install("tests/openapi")
-}
-
-/// Runs `npm ci` if the lock file is newer than the installed packages.
-fn clean_install(folder_name: &str) -> Result<(), Fault> {
+/// Runs `npm ci` in a folder if the lock file is newer than the installed packages.
+pub fn node_packages(folder_name: &str) -> Result<(), Fault> {
     let folder = root().join(folder_name);
     let changed = |path: &Path| path.metadata().and_then(|m| m.modified()).ok();
     let lock =

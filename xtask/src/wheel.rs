@@ -80,17 +80,8 @@ impl Package {
         let line = format!("{}=={} --hash=sha256:{}\n", self.name, self.version, wheel.sha256);
         fs::write(&requirements, line).map_err(|e| Fault::at(&requirements, &e))?;
         let mut pip = Command::new(python);
-        pip.args([
-            "-m",
-            "pip",
-            "download",
-            "--quiet",
-            "--disable-pip-version-check",
-            "--no-deps",
-            "--only-binary=:all:",
-            "--require-hashes",
-        ]);
-        pip.args(["--python-version", "3.12", "--implementation", "cp", "--abi", "cp312", "--platform", wheel.tag]);
+        pip.args(["-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:"]);
+        pip.args(["--require-hashes", "--python-version", "3.12", "--implementation", "cp", "--abi", "cp312", "--platform", wheel.tag]);
         pip.arg("--dest").arg(temporary).arg("--requirement").arg(&requirements);
         run_quietly(pip)?;
         let mut unpack = Command::new(python);

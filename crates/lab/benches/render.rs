@@ -7,9 +7,8 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
-use tmpi_core::container;
-use tmpi_core::{Camera, Pose, Scene};
-use tmpi_lab::conformance::scenes;
+use tmpi_core::{Camera, Pose, Scene, container};
+use tmpi_lab::stiff_scenes as scenes;
 use tmpi_pipeline::usage::Clock;
 use tmpi_render::{Cpu, Gpu, Renderer};
 

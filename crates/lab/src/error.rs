@@ -15,50 +15,31 @@ use tmpi_render::RenderError;
 /// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum LabError {
-    /// A scene or a photo cannot be made.
     #[error("cannot make {subject}")]
-    Make {
-        /// Name of the scene or photo.
-        subject: String,
-        /// The reason.
-        source: MakeError,
-    },
+    Make { subject: String, source: MakeError },
     /// A file or a folder cannot be used.
     #[error("{path}: {reason}")]
-    File {
-        /// The path.
-        path: PathBuf,
-        /// The reason.
-        reason: String,
-    },
-    /// A frame cannot be encoded.
+    File { path: PathBuf, reason: String },
     #[error("cannot encode a frame: {0}")]
     Encode(String),
-    /// A frame cannot be decoded.
     #[error(transparent)]
     Video(#[from] VideoError),
-    /// The geometry of a frame cannot be computed.
     #[error(transparent)]
     Geometry(#[from] GeometryError),
     /// A reader cannot decode a message.
     #[error(transparent)]
     Live(#[from] LiveError),
-    /// A view cannot be drawn.
     #[error(transparent)]
     Render(#[from] RenderError),
-    /// A container cannot be read.
     #[error(transparent)]
     Container(#[from] ContainerError),
-    /// A depth map cannot be estimated or written.
     #[error(transparent)]
     Depth(#[from] DepthError),
-    /// A network fails.
     #[error(transparent)]
     Onnx(#[from] OnnxError),
 }
 
 impl LabError {
-    /// A file or a folder that cannot be used.
     pub(crate) fn file(path: &Path, reason: impl Display) -> Self {
         Self::File { path: path.into(), reason: reason.to_string() }
     }

@@ -47,7 +47,6 @@ pub struct Ghosts {
 }
 
 impl Ghosts {
-    /// Adds the counts of another view.
     pub fn add(&mut self, other: Self) {
         self.places += other.places;
         self.seen += other.seen;
@@ -73,7 +72,6 @@ impl Ghosts {
 
 /// A photo, the δ of each of its pixels, and the focal length.
 pub struct Subject<'a> {
-    /// The photo.
     pub photo: &'a Photo,
     /// δ of each pixel, row-major.
     pub delta: &'a [f32],
@@ -206,9 +204,6 @@ pub struct Pair {
 }
 
 /// The scene of a container as it would be without matting.
-///
-/// # Errors
-/// [`container::ContainerError`].
 pub fn unmatted(bytes: &[u8]) -> Result<Scene, container::ContainerError> {
     let (photo, geometry) = container::read(bytes)?;
     let geometry = Geometry { matted: false, ..geometry };
@@ -217,9 +212,6 @@ pub fn unmatted(bytes: &[u8]) -> Result<Scene, container::ContainerError> {
 }
 
 /// Makes the named photo and measures ghosts at [`MOVE`] to both sides.
-///
-/// # Errors
-/// [`LabError`].
 pub fn of_photo(models: &Models, name: &str, file: &[u8]) -> Result<Pair, LabError> {
     let mut options = Options::default();
     options.view_box.x = MOVE;

@@ -1,7 +1,5 @@
 //! The `tmpi-lab` program, which measures and tests `tmpi`.
 
-mod cli;
-
 fn main() -> std::process::ExitCode {
-    cli::main()
+    tmpi_lab::cli::main()
 }

@@ -4,24 +4,16 @@ use std::sync::Arc;
 
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::Models;
-use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_pipeline::depth::Estimator;
 
 /// Returns a known map as an estimator, so that the pipeline treats it as estimated.
-pub struct OracleDepth(pub DisparityMap);
-
-impl Estimator for OracleDepth {
-    fn name(&self) -> &'static str {
-        "oracle"
-    }
-
-    fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(self.0.clone())
-    }
+pub fn oracle(map: DisparityMap) -> impl Estimator + 'static {
+    ("oracle", move |_: &Photo| Ok(map.clone()))
 }
 
 /// Models whose depth is empty, for measurements that estimate none.
 pub fn none() -> Models {
-    models(OracleDepth(DisparityMap { width: 0, height: 0, delta: Vec::new() }))
+    models(oracle(DisparityMap { width: 0, height: 0, delta: Vec::new() }))
 }
 
 /// This source of depth, and no other networks.

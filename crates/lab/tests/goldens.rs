@@ -8,8 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use image::ExtendedColorType;
-use tmpi_core::container;
-use tmpi_core::{Camera, Pose, Scene, ViewBox};
+use tmpi_core::{Camera, Pose, Scene, ViewBox, container};
 use tmpi_lab::metrics::flip;
 use tmpi_lab::scenes;
 use tmpi_pipeline::Silent;
@@ -33,16 +32,13 @@ fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/scenes")
 }
 
-/// Camera poses of a scene: corners of the view box, half of them rotated.
-fn poses(v: &ViewBox) -> Vec<Pose> {
-    let mut all: Vec<Pose> = corners(v, 0.0).step_by(2).collect();
-    all.extend(corners(v, 0.5).skip(1).step_by(2).enumerate().map(|(i, p)| Pose { roll: i as f64 - 1.5, yaw: p.yaw + 1.0, ..p }));
-    all
-}
-
+/// Cameras at corners of the view box, half of them rotated.
 fn cameras(scene: &Scene) -> Vec<Camera> {
     let (width, height) = (scene.grid.width, scene.grid.height);
-    poses(&scene.view_box).into_iter().map(|pose| Camera { pose, intrinsics: scene.intrinsics, width, height }).collect()
+    let others = corners(&scene.view_box, 0.5).skip(1).step_by(2).enumerate();
+    let turned = others.map(|(i, p)| Pose { roll: i as f64 - 1.5, yaw: p.yaw + 1.0, ..p });
+    let poses = corners(&scene.view_box, 0.0).step_by(2).chain(turned);
+    poses.map(|pose| Camera { pose, intrinsics: scene.intrinsics, width, height }).collect()
 }
 
 /// Processes the first scene of a family with its exact disparity.

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use tmpi_core::container::decode;
 use tmpi_core::{Camera, DisparityMap, Pose, ViewBox};
 use tmpi_lab::metrics::psnr;
-use tmpi_lab::oracle_depth::{self, OracleDepth};
+use tmpi_lab::oracle_depth::{self, oracle};
 use tmpi_lab::scenes::Scene;
 use tmpi_pipeline::depth::halved;
 use tmpi_pipeline::photo::Limits;
@@ -81,7 +81,7 @@ fn subject(seed: u64, map: Map) -> Subject {
         Map::Noisy => png(&noisy(&picture.disparity)),
         Map::Blurred => None,
     };
-    let models = oracle_depth::models(OracleDepth(halved(&picture.disparity)));
+    let models = oracle_depth::models(oracle(halved(&picture.disparity)));
     Subject { scene, camera, file, given, models }
 }
 

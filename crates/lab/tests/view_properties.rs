@@ -3,17 +3,13 @@
 
 use std::sync::Arc;
 
-use tmpi_core::{Camera, Pose, Scene};
-use tmpi_lab::conformance::scenes::{camera, flat};
+use tmpi_core::Pose;
+use tmpi_lab::stiff_scenes::{camera, flat, own_camera};
 use tmpi_render::{Backend, Cpu, Gpu, Reference, RenderError, Renderer, select};
 
 /// The `gpu` backend on any adapter.
 fn gpu() -> Option<Gpu> {
     tmpi_testing::Need::Gpu.or_skip(Gpu::new(true))
-}
-
-fn identity(scene: &Scene) -> Camera {
-    camera(scene, Pose::default(), scene.photo.width, scene.photo.height)
 }
 
 #[test]
@@ -22,7 +18,7 @@ fn inconsistent_scenes_are_refused() {
     scene.texels.alpha.pop();
     let scene = Arc::new(scene);
     for backend in [&Reference as &dyn Renderer, &Cpu::default()] {
-        assert!(matches!(backend.render(&scene, &identity(&scene)), Err(RenderError::Scene(_))));
+        assert!(matches!(backend.render(&scene, &own_camera(&scene, Pose::default())), Err(RenderError::Scene(_))));
     }
 }
 
@@ -57,6 +53,6 @@ fn backends_can_be_shared_between_threads() {
 #[test]
 fn auto_always_finds_a_backend() {
     let scene = Arc::new(flat(8, 8, 0.5));
-    let view = select(Backend::Auto).unwrap().render(&scene, &identity(&scene)).unwrap();
+    let view = select(Backend::Auto).unwrap().render(&scene, &own_camera(&scene, Pose::default())).unwrap();
     assert!(view.rgba.iter().zip(&scene.photo.rgb).all(|(p, q)| p[..3] == *q));
 }

@@ -53,14 +53,7 @@ fn start() -> Option<Server> {
     Some(Server { programs, folder, _process: process })
 }
 
-fn url(folder: &Path, database: &str) -> String {
-    format!("postgres://postgres@localhost/{database}?host={}", folder.display())
-}
-
 /// URL of an empty database; `None` without PostgreSQL, so that the test is skipped.
-///
-/// # Panics
-/// The server does not start.
 pub fn database() -> Option<String> {
     static SERVER: OnceLock<Option<Server>> = OnceLock::new();
     static NEXT: AtomicU32 = AtomicU32::new(0);
@@ -80,5 +73,5 @@ pub fn database() -> Option<String> {
         assert!(Instant::now() < until, "PostgreSQL does not start: {log}");
         std::thread::sleep(Duration::from_millis(50));
     }
-    Some(url(&server.folder, &name))
+    Some(format!("postgres://postgres@localhost/{name}?host={}", server.folder.display()))
 }

@@ -1,23 +1,14 @@
 //! What the tests of several crates share: pictures, servers, and requirements. A test whose requirement is missing is skipped and listed in a
 //! file, or fails if `TMPI_REQUIRE` names the requirement.
+#![allow(clippy::expect_used, clippy::missing_panics_doc, clippy::unwrap_used, reason = "a panic fails the test")]
 
 #[cfg(unix)]
-#[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
 mod database;
 pub mod jpeg;
-#[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
-pub mod object_stores;
+mod object_stores;
 pub mod pictures;
 pub mod png;
-#[allow(
-    clippy::expect_used,
-    clippy::missing_panics_doc,
-    clippy::must_use_candidate,
-    clippy::return_self_not_must_use,
-    reason = "a panic fails the test"
-)]
 pub mod program;
-#[allow(clippy::expect_used, reason = "a machine without a free port fails the test")]
 mod stand_in;
 
 use std::ffi::OsStr;
@@ -123,9 +114,6 @@ fn test() -> String {
 }
 
 /// A folder in `TMPI_DATA`; `None` if it is missing, so that the test is skipped.
-///
-/// # Panics
-/// As [`Need::or_skip`].
 pub fn data(folder: &str) -> Option<PathBuf> {
     let root = std::env::var_os(DATA).filter(|root| !root.is_empty());
     let found = root.ok_or_else(|| format!("{DATA} names no folder")).and_then(|root| {
@@ -136,9 +124,6 @@ pub fn data(folder: &str) -> Option<PathBuf> {
 }
 
 /// All files in a folder and in the folders below it.
-///
-/// # Panics
-/// A folder cannot be read.
 pub fn files_below(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
     let below = |path: PathBuf| if path.is_dir() { files_below(&path) } else { vec![path] };
@@ -146,9 +131,6 @@ pub fn files_below(folder: &Path) -> Vec<PathBuf> {
 }
 
 /// The folder with the newest PostgreSQL's `initdb`, `postgres` and `createdb`; `None` if one is missing, so that the test is skipped.
-///
-/// # Panics
-/// As [`Need::or_skip`].
 pub fn postgres() -> Option<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     Need::Postgres.or_skip(postgres_in(&path, Path::new(DEBIAN)).ok_or("apt-get install postgresql"))

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
 use crate::Need;
@@ -10,14 +10,9 @@ use crate::Need;
 /// A process on a free port, which ends when this is dropped.
 #[derive(Debug)]
 pub struct Engine {
-    child: Option<Child>,
+    child: Child,
     /// Where it listens.
     pub addr: SocketAddr,
-}
-
-/// Whether `program` runs successfully with `arguments`.
-fn is_there(program: &str, arguments: &[&str]) -> bool {
-    Command::new(program).args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|s| s.success())
 }
 
 /// The address in a line that says where a program listens.
@@ -46,21 +41,23 @@ impl Engine {
         }
         drop(tell);
         let addr = told.recv_timeout(Duration::from_mins(1)).unwrap_or_else(|e| panic!("{command:?} named no address: {e}"));
-        Self { child: Some(child), addr }
+        Self { child, addr }
     }
 
     /// An in-memory S3 server with an empty bucket `photos`; `None` without moto.
-    ///
-    /// # Panics
-    /// It does not start.
     pub fn s3() -> Option<Self> {
-        let there = is_there("python3", &["-c", "import moto.server"]).then_some(());
-        Need::S3.or_skip(there.ok_or("pip install 'moto[server]'"))?;
+        let import = Command::new("python3").args(["-c", "import moto.server"]).stdout(Stdio::null()).stderr(Stdio::null()).status();
+        Need::S3.or_skip(import.ok().filter(ExitStatus::success).ok_or("pip install 'moto[server]'"))?;
         let mut command = Command::new("python3");
         // start the program itself, not a wrapper script, which would be killed instead
         command.args(["-m", "moto.server", "-H", "127.0.0.1", "-p", "0"]);
         let engine = Self::start(command);
-        engine.put("/photos", "HTTP/1.1 200");
+        let mut stream = TcpStream::connect(engine.addr).expect("the engine listens");
+        let request = format!("PUT /photos HTTP/1.1\r\nhost: {}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n", engine.addr);
+        stream.write_all(request.as_bytes()).expect("a request");
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("an answer");
+        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
         Some(engine)
     }
 
@@ -73,29 +70,12 @@ impl Engine {
             ("AWS_REGION", "us-east-1".into()),
         ]
     }
-
-    /// Sends a request without a body, whose answer must start as `wanted`.
-    fn put(&self, target: &str, wanted: &str) {
-        let mut stream = TcpStream::connect(self.addr).expect("the engine listens");
-        let request = format!("PUT {target} HTTP/1.1\r\nhost: {}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n", self.addr);
-        stream.write_all(request.as_bytes()).expect("a request");
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).expect("an answer");
-        assert!(answer.starts_with(wanted), "{answer}");
-    }
-
-    /// Kills it.
-    pub fn kill(&mut self) {
-        if let Some(mut child) = self.child.take() {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
 }
 
 impl Drop for Engine {
     fn drop(&mut self) {
-        self.kill();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 

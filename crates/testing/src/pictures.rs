@@ -7,10 +7,6 @@ use image::codecs::png::PngEncoder;
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
 
 /// The file of a picture.
-///
-/// # Panics
-/// If the format does not hold such a picture.
-#[allow(clippy::unwrap_used, reason = "for tests")]
 pub fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
     let mut out = Cursor::new(Vec::new());
     image.into().write_to(&mut out, format).unwrap();
@@ -18,10 +14,6 @@ pub fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
 }
 
 /// A JPEG file of a picture at a quality of 1 to 100.
-///
-/// # Panics
-/// If the format does not hold such a picture.
-#[allow(clippy::unwrap_used, reason = "for tests")]
 pub fn jpeg(image: impl Into<DynamicImage>, quality: u8) -> Vec<u8> {
     let mut out = Vec::new();
     image.into().write_with_encoder(JpegEncoder::new_with_quality(&mut out, quality)).unwrap();
@@ -29,10 +21,6 @@ pub fn jpeg(image: impl Into<DynamicImage>, quality: u8) -> Vec<u8> {
 }
 
 /// A PNG file of these samples.
-///
-/// # Panics
-/// If the samples are not those of such a picture.
-#[allow(clippy::unwrap_used, reason = "for tests")]
 pub fn png(width: u32, height: u32, samples: &[u8], colour: ExtendedColorType) -> Vec<u8> {
     let mut file = Vec::new();
     PngEncoder::new(&mut file).write_image(samples, width, height, colour).unwrap();

@@ -70,9 +70,6 @@ struct State {
 
 impl StandIn {
     /// Starts one.
-    ///
-    /// # Panics
-    /// There is no free port.
     pub fn start(answer: impl Fn(&Request) -> Answer + Send + Sync + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let addr = listener.local_addr().expect("an address");

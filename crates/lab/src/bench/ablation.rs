@@ -5,25 +5,21 @@ use std::sync::Arc;
 use super::experiments::VIEW;
 use super::figures::Figures;
 use super::measure::{self, Bench};
-use super::subject::{self, Subject};
+use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Point};
 use crate::LabError;
-use crate::scenes::hidden_colours;
-use tmpi_core::TexturedLayer;
-use tmpi_core::{Class, DisparityMap, Geometry, Grid, Intrinsics, LayerMasks, Photo, Rect, Scene, TileFrame, ViewBox};
-use tmpi_pipeline::edges;
-use tmpi_pipeline::layers;
-use tmpi_pipeline::layers::refine;
+use crate::scenes::{self, hidden_colours};
+use tmpi_core::{Class, DisparityMap, Geometry, Grid, Intrinsics, LayerMasks, Photo, Rect, Scene, TexturedLayer, TileFrame, ViewBox};
+use tmpi_pipeline::layers::{self, refine};
 use tmpi_pipeline::networks::Network;
 use tmpi_pipeline::planes::{NEIGHBOUR_COST, Placement, place};
-use tmpi_pipeline::{MakeError, Options, Parallax};
+use tmpi_pipeline::{MakeError, Options, Parallax, edges};
 use tmpi_render::{Cpu, Renderer};
 
-/// The step that is disabled or replaced.
+/// The step that is disabled or replaced, as [`ALL`] names it.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Without {
     Nothing,
-    /// Uses the map without the median filter.
     Median,
     /// Leaves pixels of mixed colours on the side where the map has them.
     Rims,
@@ -31,17 +27,11 @@ pub(super) enum Without {
     FullMedian,
     /// Adds no planes for background that is visible only in neighbouring tiles.
     Backgrounds,
-    /// Has no texels behind the visible surface.
     Hidden,
-    /// Keeps hidden texels in front of the visible surface.
     Trim,
-    /// Keeps hidden texels that cannot be seen from the view box.
     Prune,
-    /// Colours hidden texels with the photo's colour at the same pixel.
     Fill,
-    /// Has no soft rims.
     Soft,
-    /// Lets Ψ colour hidden texels.
     Refined,
     /// Colours hidden texels from the exact surface if it lies on their plane: an upper bound for any Ψ.
     Known,
@@ -124,7 +114,8 @@ impl<'a> Prepared<'a> {
                 refine::run(psi, &self.photo, geometry, &mut coloured).map_err(fail)?;
             }
             (Without::Known, _, Some(seed)) => {
-                let hidden = subject::hidden(seed, (self.photo.width, self.photo.height));
+                let scene = scenes::Scene::framed(seed, self.photo.width, self.photo.height);
+                let hidden = scene.hidden(&scene.camera(), 3);
                 for (t, i) in coloured.iter_mut().zip(0..) {
                     let place = TileFrame::of(&geometry.grid, i);
                     for l in t {
@@ -217,7 +208,6 @@ pub(super) fn steps(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, L
     })
 }
 
-/// Varies the weight of label smoothing.
 pub(super) fn labels(subjects: &[Subject], quick: bool) -> Result<Experiment, LabError> {
     let all = prepared(subjects, None)?;
     let x = Axis::new("label changes, % of pixels", true, Some(false));

@@ -90,8 +90,6 @@ fn add_distance(f: &mut Figures, got: &Geometry, every: &Geometry) {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "test")]
-
     use super::*;
     use crate::oracle_depth;
 

@@ -105,8 +105,6 @@ fn mirrored(row: usize, crop: usize, height: usize) -> (usize, Option<Border>) {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "test")]
-
     use super::super::subject;
     use super::*;
     use crate::oracle_depth;

@@ -5,9 +5,8 @@ use super::measure::{Bench, Depth, REDUCED, in_turns};
 use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Figures, Point};
 use crate::LabError;
-use tmpi_pipeline::networks;
 use tmpi_pipeline::run::time_budget::{Costs, Measured, fit};
-use tmpi_pipeline::{Made, Options};
+use tmpi_pipeline::{Made, Options, networks};
 
 /// Operating points, as multiples of the default parallax error.
 const FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
@@ -17,11 +16,9 @@ const BEFORE: [&str; 4] = ["photo", "depth", "denoise", "snap"];
 const PLENTY: f64 = 1e7;
 /// Budgets that are asked for, in milliseconds.
 const ASKED: [Option<f64>; 6] = [Some(25.0), Some(50.0), Some(100.0), Some(200.0), Some(500.0), None];
-/// Names of the axes.
 const TIME: &str = "time, ms";
 const PARALLAX: &str = "parallax error, px";
 
-/// Median of `of` over the repeated runs.
 fn median_of(runs: &[Made], of: impl Fn(&Made) -> f64) -> f64 {
     median(runs.iter().map(of).collect())
 }
@@ -34,7 +31,6 @@ fn megapixels(made: &Made) -> f64 {
     f64::from(made.report.width) * f64::from(made.report.height) / 1e6
 }
 
-/// Fits the costs to the scenes.
 pub(super) fn fitted(bench: &Bench, scenes: &[Subject]) -> Result<Costs, LabError> {
     let mut costs = Costs::default();
     let mut before = Vec::new();

@@ -17,7 +17,7 @@ type Make = fn(&models::Settings, bool) -> Plan;
 /// Experiments on what the depth network makes of subjects whose disparity is known.
 pub(super) fn run(bench: &Bench, subjects: &[Subject], log: &mut Log) -> Result<(), LabError> {
     if let Err(reason) = networks::available() {
-        log.skip(format!("depth network: {}", brief(&reason)));
+        log.results.skipped.push(format!("depth network: {}", brief(&reason)));
         return Ok(());
     }
     let plans: [(&str, Make); 4] = [("depth", pixels), ("depth-smoothing", smoothing), ("depth-ramp", ramp), ("depth-mirror", mirror)];

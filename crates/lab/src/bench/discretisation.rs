@@ -6,16 +6,14 @@ use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Point, experiments};
 use crate::LabError;
 use tmpi_core::{DisparityMap, Grid, Photo};
-use tmpi_pipeline::MakeError;
 use tmpi_pipeline::denoise::{local_planes, median_guided, theta};
-use tmpi_pipeline::edges;
 use tmpi_pipeline::planes::{MAX_AUTO_PLANES, Method, Placement, discretisation_error, ghost_share, place};
 use tmpi_pipeline::usage::Clock;
+use tmpi_pipeline::{MakeError, edges};
 
 /// Planes per tile, as in the paper.
 const PLANES: u32 = 4;
 
-/// Names of the axes.
 const CPU: &str = "planes, CPU ms";
 const MAE: &str = "MAE, 1e-3";
 
@@ -49,9 +47,8 @@ fn cleaned(bench: &Bench, how: Cleaning, photo: &Photo, map: &DisparityMap) -> R
 
 /// Fits planes to clean and damaged maps, and measures their error against the clean map.
 pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
-    let methods = [("linear", Method::Linear), ("lloyd", Method::Lloyd), ("optimal", Method::Optimal), ("slanted", Method::Slanted)];
-    let mut settings: Vec<(String, Placement, Cleaning)> =
-        methods.iter().map(|&(name, m)| (format!("{name}, {PLANES} planes"), Placement::fixed(m, PLANES), Cleaning::Off)).collect();
+    let fixed = |(name, method): (&str, Method)| (format!("{name}, {PLANES} planes"), Placement::fixed(method, PLANES), Cleaning::Off);
+    let mut settings: Vec<(String, Placement, Cleaning)> = experiments::METHODS.map(fixed).into();
     settings.push(("slanted, error 0.005".into(), Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, 0.005), Cleaning::Off));
     let mut cleanings = vec![("classic", Cleaning::Classic), ("auto", Cleaning::Auto)];
     if bench.models.theta.is_some() && tmpi_pipeline::networks::available().is_ok() {

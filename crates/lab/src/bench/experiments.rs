@@ -5,15 +5,14 @@ use super::subject::Subject;
 use super::{Axis, Curve, Experiment, Figures, Log, Point};
 use crate::LabError;
 use tmpi_core::{DisparityMap, ViewBox};
-use tmpi_pipeline::networks;
-use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, TileSize};
+use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, TileSize, networks};
 
 const MS: Axis = Axis::new("processing, ms", true, Some(false));
 pub(super) const VIEW: Axis = Axis::new("view, dB", false, Some(true));
 const PARALLAX: Axis = Axis::new("parallax error, px", true, Some(false));
 pub(super) const KB: Axis = Axis::new("container, KB", true, Some(false));
 
-const METHODS: [(&str, PlaneMethod); 4] =
+pub(super) const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
 
 /// A setting to measure: one point of a curve.
@@ -26,7 +25,6 @@ pub(super) struct Set {
     pub level: u8,
     /// Position on the horizontal axis, if that shows the setting itself.
     pub at: Option<f64>,
-    /// Whether this is the default.
     pub default: bool,
 }
 
@@ -37,7 +35,6 @@ impl Set {
     }
 }
 
-/// An experiment to run.
 pub(super) struct Plan {
     pub id: &'static str,
     pub title: &'static str,
@@ -84,7 +81,6 @@ fn counts(method: PlaneMethod, name: &str, counts: &[u32], tile: TileSize) -> Ve
     counts.iter().map(one).collect()
 }
 
-/// Plane fitting by count and by error.
 fn planes(quick: bool, axes: (Axis, Axis)) -> Plan {
     let n: &[u32] = if quick { &[1, 2, 4, 8] } else { &[1, 2, 3, 4, 6, 8, 12] };
     let mut curves: Vec<_> = METHODS.map(|(name, m)| (name, counts(m, name, n, TileSize::Pixels(64)))).into();
@@ -213,7 +209,6 @@ pub(super) fn scaled(by: f64) -> ViewBox {
     ViewBox { x: usual.x * by, y: usual.y * by, z: usual.z * by }
 }
 
-/// Costs of the view box's size.
 fn view_box(quick: bool) -> Plan {
     let all: &[f64] = if quick { &[0.5, 1.0, 2.0] } else { &[0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 4.0] };
     let one = |&s: &f64| {
@@ -258,7 +253,6 @@ pub(super) fn brief(reason: &impl std::fmt::Display) -> String {
     reason.to_string().split(':').next().unwrap_or_default().to_owned()
 }
 
-/// Runs the experiments on scenes with exact views.
 pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Result<(), LabError> {
     let quick = log.settings.flags.quick;
     // warm-up: the first run of a process pays for threads and memory
@@ -269,17 +263,16 @@ pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Res
         vec![max_error(quick, (MS, VIEW)), planes(quick, (MS, VIEW)), tiles(quick), quality(quick), prune(quick), view_box(quick)];
     plans.extend(sizes(quick));
     if let Err(reason) = networks::available() {
-        log.skip(format!("denoise networks: {}", brief(&reason)));
+        log.results.skipped.push(format!("denoise networks: {}", brief(&reason)));
     } else {
         plans.push(denoise(bench.models.theta.is_some()));
     }
     plans.into_iter().try_for_each(|plan| log.run(plan.id, || plan.run(bench, scenes)))
 }
 
-/// Runs the experiments on photos with estimated disparity.
 pub(super) fn on_photos(bench: &Bench, photos: &[Subject], log: &mut Log) -> Result<(), LabError> {
     if let Err(reason) = networks::available() {
-        log.skip(format!("photos: {}", brief(&reason)));
+        log.results.skipped.push(format!("photos: {}", brief(&reason)));
         return Ok(());
     }
     let mut plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };

@@ -70,7 +70,6 @@ impl Figures {
         all.get(((all.len() as f64 * share) as usize).min(all.len().saturating_sub(1))).copied().unwrap_or_default()
     }
 
-    /// The mean of each figure.
     pub fn means(&self) -> Vec<(String, f64)> {
         self.0.iter().map(|(name, _)| (name.clone(), self.mean(name))).collect()
     }

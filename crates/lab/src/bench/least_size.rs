@@ -72,8 +72,6 @@ fn curve(bench: &Bench, name: &str, subjects: &[Subject], sizes: &[u64]) -> Resu
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "test")]
-
     use super::super::measure::REDUCED;
     use super::super::subject;
     use super::*;

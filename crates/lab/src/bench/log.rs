@@ -17,16 +17,8 @@ pub(super) struct Log<'a> {
 
 impl<'a> Log<'a> {
     pub fn new(settings: &'a Settings, progress: &'a dyn Fn(&str)) -> Result<Self, LabError> {
-        let results = Results {
-            version: env!("CARGO_PKG_VERSION").into(),
-            machine: Machine::this(),
-            subjects: Vec::new(),
-            repeats: settings.flags.repeats.map_or(if settings.flags.quick { 3 } else { 5 }, usize::from),
-            experiments: Vec::new(),
-            costs: None,
-            skipped: Vec::new(),
-            seconds: 0.0,
-        };
+        let repeats = settings.flags.repeats.map_or(if settings.flags.quick { 3 } else { 5 }, usize::from);
+        let results = Results { version: env!("CARGO_PKG_VERSION").into(), machine: Machine::this(), repeats, ..Results::default() };
         let path = settings.flags.output.join(RESULTS);
         let mut log = Self { settings, results, progress, start: Instant::now() };
         if settings.flags.resume && path.exists() {
@@ -59,10 +51,6 @@ impl<'a> Log<'a> {
         if self.starts(id) { self.add(experiment()?) } else { Ok(()) }
     }
 
-    pub fn skip(&mut self, reason: String) {
-        self.results.skipped.push(reason);
-    }
-
     /// Adds an experiment, and writes all.
     pub fn add(&mut self, mut experiment: Experiment) -> Result<(), LabError> {
         experiment.mark();
@@ -77,7 +65,6 @@ impl<'a> Log<'a> {
     }
 }
 
-/// File of the results in their folder.
 const RESULTS: &str = "results.json";
 
 impl Results {
@@ -91,8 +78,6 @@ impl Results {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "test")]
-
     use super::super::Flags;
     use super::super::tests::experiment;
     use super::*;
@@ -107,7 +92,7 @@ mod tests {
         let settings = with(flags.clone());
         let mut log = Log::new(&settings, &|_| {}).unwrap();
         assert!(log.wants("e") && log.wants("f"));
-        log.skip("gpu: none & nothing".into());
+        log.results.skipped.push("gpu: none & nothing".into());
         let mut measured = experiment(&[(1.0, 10.0), (20.0, 30.0)]);
         measured.curves[0].points[1].ranges = vec![("ms".into(), [18.0, 25.0])];
         log.add(measured).unwrap();

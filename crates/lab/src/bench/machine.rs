@@ -2,10 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Description of a machine.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Machine {
-    /// CPU model.
     pub processor: String,
     /// Number of worker threads.
     pub threads: usize,
@@ -18,7 +16,6 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Describes this machine.
     pub fn this() -> Self {
         let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
         let field = |text: &str, name: &str| {

@@ -9,15 +9,13 @@ use super::figures::Figures;
 use super::subject::Subject;
 use crate::LabError;
 use crate::metrics::{self, ssim_map};
-use crate::oracle_depth::OracleDepth;
-use tmpi_core::container;
-use tmpi_core::{DisparityMap, Photo, Pose, Scene};
-use tmpi_pipeline::Silent;
+use crate::oracle_depth::oracle;
+use tmpi_core::{DisparityMap, Photo, Pose, Scene, container};
 use tmpi_pipeline::depth::Estimator;
 use tmpi_pipeline::networks::{self, Network};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::usage::Clock;
-use tmpi_pipeline::{self, Made, Models, Options};
+use tmpi_pipeline::{self, Made, Models, Options, Silent};
 use tmpi_render::{Cpu, Renderer, View};
 
 /// Stages excluded from the processing time: no option changes them, or they only measure.
@@ -80,7 +78,6 @@ impl Bench<'_> {
         (0..self.repeats).map(|_| self.make(s, depth, options)).collect()
     }
 
-    /// Processes a subject.
     pub fn make(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Made, LabError> {
         let options = Options { fov_x: options.fov_x.or(s.fov_x), ..options.clone() };
         let mut models = self.models.clone();
@@ -92,7 +89,7 @@ impl Bench<'_> {
                 None
             }
             (Depth::Degraded(how), Some(d)) => {
-                models.depth = Arc::new(OracleDepth(how(d)));
+                models.depth = Arc::new(oracle(how(d)));
                 None
             }
             _ => None,
@@ -120,7 +117,6 @@ pub(super) fn in_turns(count: usize, repeats: usize, mut run: impl FnMut(usize, 
     Ok(())
 }
 
-/// Adds the times of a run.
 fn add_times(f: &mut Figures, subject: usize, made: &Made) {
     let mut add = |name: &str, included: &dyn Fn(&str) -> bool, cpu: bool| {
         let stages = made.report.stages.iter().filter(|s| included(&s.name));
@@ -133,7 +129,6 @@ fn add_times(f: &mut Figures, subject: usize, made: &Made) {
     add("verifying, ms", &|n| n == "verify", false);
 }
 
-/// Adds bytes and errors.
 fn add_errors(f: &mut Figures, s: &Subject, made: &Made, &(_, options, level): &Setting) -> Result<(), LabError> {
     let (r, e) = (&made.report, &made.report.error);
     let file = container::level(&made.container, level)?;

@@ -25,6 +25,7 @@ mod subject;
 use std::borrow::Cow;
 use std::path::PathBuf;
 
+use clap::builder::PossibleValuesParser;
 use serde::{Deserialize, Serialize};
 
 use crate::LabError;
@@ -50,7 +51,7 @@ pub struct Flags {
     #[arg(long, value_name = "DIR")]
     pub photos: Vec<PathBuf>,
     /// Run only these experiments
-    #[arg(long, value_delimiter = ',', value_parser = EXPERIMENTS, value_name = "NAME,…")]
+    #[arg(long, value_delimiter = ',', value_parser = PossibleValuesParser::new(EXPERIMENTS.split(' ')), value_name = "NAME,…")]
     pub only: Vec<String>,
     /// Keep the experiments of an earlier run that are in the folder, and run only the others
     #[arg(long)]
@@ -61,56 +62,27 @@ pub struct Flags {
     pub repeats: Option<u16>,
 }
 
-/// Settings of a benchmark.
 #[derive(Clone)]
 pub struct Settings {
-    /// What it measures.
     pub flags: Flags,
-    /// The networks.
     pub models: Models,
     /// Settings that the networks were loaded with; an experiment varies those of the depth network.
     pub networks: tmpi_pipeline::networks::models::Settings,
 }
 
-/// Short names of the experiments.
-pub const EXPERIMENTS: [&str; 23] = [
-    "scaling",
-    "max-error",
-    "planes",
-    "tiles",
-    "quality",
-    "prune",
-    "view-box",
-    "size",
-    "levels",
-    "denoise",
-    "depth",
-    "depth-smoothing",
-    "depth-ramp",
-    "depth-mirror",
-    "ramps",
-    "without",
-    "labels",
-    "photos",
-    "discretisation",
-    "backgrounds",
-    "least-size",
-    "beyond",
-    "budget",
-];
+/// Names of the experiments.
+const EXPERIMENTS: &str = "scaling max-error planes tiles quality prune view-box size levels denoise depth depth-smoothing depth-ramp \
+    depth-mirror ramps without labels photos discretisation backgrounds least-size beyond budget";
 
 /// A measured setting: means over all subjects.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Point {
     /// The setting, as on the command line.
     pub setting: String,
-    /// Position on the horizontal axis.
     pub x: f64,
-    /// Position on the vertical axis.
     pub y: f64,
     /// Standard deviation of `y` over the subjects; 0 for a single subject.
     pub spread: f64,
-    /// Whether this is the default setting.
     pub default: bool,
     /// Whether no other point of the experiment is better on both axes.
     pub pareto: bool,
@@ -130,18 +102,15 @@ impl Point {
 /// Settings that differ in one number.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Curve {
-    /// Name in the legend.
     pub name: String,
     /// Points in the order of that number.
     pub points: Vec<Point>,
 }
 
-/// Axis of a plot.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Axis {
     /// Name and unit.
     pub label: Cow<'static, str>,
-    /// Whether the axis is logarithmic.
     pub log: bool,
     /// Whether more is better; `None` if neither direction is.
     pub up: Option<bool>,
@@ -153,60 +122,42 @@ impl Axis {
     }
 }
 
-/// Figures with names of their own.
-fn figures<const N: usize>(all: [(&str, f64); N]) -> Vec<(String, f64)> {
-    all.map(|(name, value)| (name.to_owned(), value)).into()
-}
-
 /// Curves on common axes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Experiment {
-    /// Short name.
     pub id: String,
-    /// Heading.
     pub title: String,
-    /// Description.
     pub about: String,
-    /// Horizontal axis.
     pub x: Axis,
-    /// Vertical axis.
     pub y: Axis,
-    /// Curves.
     pub curves: Vec<Curve>,
 }
 
-/// Results of a benchmark.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Results {
     /// Version of the program.
     pub version: String,
-    /// The machine.
     pub machine: Machine,
     /// Names of the measured scenes and photos.
     pub subjects: Vec<String>,
     /// Number of runs of a setting that takes at most a second; others ran twice at most. Times are medians.
     pub repeats: usize,
-    /// The experiments.
     pub experiments: Vec<Experiment>,
     /// Costs of this machine for `--budget-ms`, if they were measured.
     pub costs: Option<Costs>,
     /// Skipped experiments, each with the reason.
     pub skipped: Vec<String>,
-    /// Total time in seconds.
     pub seconds: f64,
 }
 
 /// Runs the experiments, and writes the results to the folder after each; calls `progress` with the name of each.
-///
-/// # Errors
-/// [`LabError`].
 pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabError> {
     let mut log = Log::new(settings, progress)?;
     let (quick, repeats) = (settings.flags.quick, log.results.repeats);
     if log.starts("scaling") {
         match photo_size::run(quick, repeats) {
             Ok(both) => both.into_iter().try_for_each(|e| log.add(e))?,
-            Err(reason) => log.skip(format!("scaling: {reason}")),
+            Err(reason) => log.results.skipped.push(format!("scaling: {reason}")),
         }
     }
     progress("rendering scenes");

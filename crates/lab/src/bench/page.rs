@@ -23,7 +23,6 @@ th{font-weight:600;color:var(--soft)}tr.default{background:var(--mark);font-weig
 dl{display:grid;grid-template-columns:max-content 1fr;gap:.1rem 1rem;font-size:.95rem}dt{color:var(--soft)}dd{margin:0}
 ";
 
-/// How to read a plot.
 const READING: &str = "<h2>How to read the plots</h2><ul>\
 <li>A point is one setting: the mean over all scenes. Hover over it for the setting and its figures.</li>\
 <li>A ring with the word “default” is the setting that is used where nothing is said.</li>\
@@ -44,7 +43,6 @@ farthest apart; mean over the photo.</dd>\
 (the nearest point).</dd>\
 <dt>container, KB</dt><dd>What a viewer downloads.</dd></dl></details>";
 
-/// The results as an HTML page.
 pub fn html(r: &Results) -> String {
     let m = &r.machine;
     let mut out = format!(

@@ -12,12 +12,10 @@ use tmpi_pipeline::Report;
 use tmpi_pipeline::depth::to_png;
 use tmpi_pipeline::photo::resize;
 
-/// Names of the files of a size.
 const PHOTO: &str = "p.jpg";
 const DISPARITY: &str = "d.png";
 /// Size of the rendered scene that is enlarged, 3:2.
 const BASE: (u32, u32) = (1200, 800);
-/// Name of the horizontal axis.
 const MEGAPIXELS: &str = "photo, megapixels";
 
 /// Time and memory of `tmpi make` by photo size.
@@ -70,7 +68,6 @@ fn experiment(id: &str, title: &str, y: &'static str, sizes: &[Vec<Report>], val
     }
 }
 
-/// Writes a photo and its disparity to a folder.
 fn write(folder: &Path, photo: &Photo, disparity: &DisparityMap) -> Result<(), LabError> {
     files::write(&folder.join(PHOTO), &encode_jpeg(photo.width, photo.height, photo.rgb.as_flattened(), 85)?)?;
     files::write(&folder.join(DISPARITY), &to_png(disparity)?)

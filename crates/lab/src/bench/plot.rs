@@ -100,7 +100,6 @@ impl Scale {
     }
 }
 
-/// The plot as markup.
 pub(super) fn svg(e: &Experiment) -> String {
     let points = || e.curves.iter().flat_map(|c| &c.points);
     let x = Scale::new(&e.x, points().map(|p| p.x), (LEFT, RIGHT));

@@ -2,14 +2,11 @@
 
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, Curve, Experiment, Point, experiments, figures};
+use super::{Axis, Curve, Experiment, Point, experiments};
 use crate::LabError;
 use tmpi_core::DisparityMap;
-use tmpi_pipeline::depth;
-use tmpi_pipeline::edges;
-use tmpi_pipeline::{Options, Switch};
+use tmpi_pipeline::{Options, Switch, depth, edges};
 
-/// A function that degrades a map.
 type Damage = fn(&DisparityMap) -> DisparityMap;
 
 /// One point per scene and kind of damage: the fraction of ramps, and the gain of views by snapping.
@@ -32,7 +29,8 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, Lab
             let measured = once.figures(std::slice::from_ref(subject), &options.each_ref().map(|o| (&depth, o, 0)))?;
             let [auto, on, off] = [0, 1, 2].map(|i| measured[i].mean("view, dB"));
             let x = edges::ramp_share(&damage(exact));
-            let figures = figures([("--snap auto, dB", auto), ("--snap on, dB", on), ("--snap off, dB", off)]);
+            let named = [("--snap auto, dB", auto), ("--snap on, dB", on), ("--snap off, dB", off)];
+            let figures = named.map(|(name, value)| (name.to_owned(), value)).into();
             points.push(Point { setting: subject.name.clone(), x: 100.0 * x, y: on - off, figures, ..Point::default() });
         }
         curves.push(Curve { name: name.into(), points });

@@ -21,7 +21,6 @@ const LARGE: (u32, u32) = (2400, 1600);
 /// Samples a pixel, across and down.
 const SAMPLES: u32 = 3;
 
-/// A scene or a photo.
 #[derive(Clone)]
 pub(super) struct Subject {
     pub name: String,
@@ -39,7 +38,6 @@ pub(super) struct Subject {
 }
 
 impl Subject {
-    /// The decoded photo.
     pub fn decoded(&self) -> Result<Decoded, LabError> {
         photo::decode(&self.file, &Limits::default(), None)
             .map_err(|e| LabError::Make { subject: self.name.clone(), source: MakeError::Photo(e) })
@@ -87,12 +85,6 @@ pub(super) fn scene(seed: u64, (width, height): (u32, u32), poses: &[Pose]) -> R
         fov_x: Some(camera.intrinsics.fov_x(width)),
         views: poses.iter().map(view).collect(),
     })
-}
-
-/// The second surface of a rendered scene: what lies behind the visible one.
-pub(super) fn hidden(seed: u64, (width, height): (u32, u32)) -> scenes::Picture {
-    let scene = scenes::Scene::framed(seed, width, height);
-    scene.hidden(&scene.camera(), 3)
 }
 
 /// Reads the disparity map `NAME_disp16.png` beside a photo `NAME.jpg`, if it exists.

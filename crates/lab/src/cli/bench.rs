@@ -1,7 +1,7 @@
 //! `tmpi-lab bench`.
 
 use super::{note, result};
-use tmpi_lab::bench::{self, Flags, Settings};
+use crate::bench::{self, Flags, Settings};
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 

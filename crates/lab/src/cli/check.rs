@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use super::result;
-use tmpi_lab::conformance::{self, Case, Checked, Kernel, Verdict};
-use tmpi_lab::table::{row, table};
+use crate::conformance::{self, Case, Checked, Kernel, Verdict};
+use crate::table::table;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
@@ -43,15 +43,13 @@ fn text(checked: &Checked) -> String {
         let error = c.error.map_or("none".into(), number);
         vec![c.family.into(), c.name.clone(), c.subject.into(), verdict.into(), c.unit.into(), number(c.bound), error]
     };
-    let cases = std::iter::once(row(["family", "case", "of", "verdict", "unit", "bound", "error"])).chain(checked.cases.iter().map(case));
+    let cases = table(5, &["family", "case", "of", "verdict", "unit", "bound", "error"], checked.cases.iter().map(case));
     let skipped: String = checked.skipped.iter().map(|s| ["skipped: ", s, "\n"].concat()).collect();
     // for each kernel: how many cases, how near to their bounds, how long
     let kernel = |k: &Kernel| {
         let [cases, failed] = [k.cases, k.failed].map(|n| n.to_string());
         vec![k.family.into(), k.subject.into(), cases, failed, format!("{:.2}", k.nearest), format!("{:.0}", k.ms)]
     };
-    let all = checked.kernels();
-    let kernels = std::iter::once(row(["family", "of", "cases", "failed", "error/bound", "ms"])).chain(all.iter().map(kernel));
-    let [cases, kernels] = [table(5, &cases.collect::<Vec<_>>()), table(2, &kernels.collect::<Vec<_>>())];
+    let kernels = table(2, &["family", "of", "cases", "failed", "error/bound", "ms"], checked.kernels().iter().map(kernel));
     format!("{cases}{skipped}\n{kernels}{} cases, {} failed", checked.cases.len(), checked.failed())
 }

@@ -6,8 +6,8 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::result;
-use tmpi_lab::files::read;
-use tmpi_lab::metrics::{flip, max_abs, psnr, share_off, ssim_map};
+use crate::files::read;
+use crate::metrics::{flip, max_abs, psnr, share_off, ssim_map};
 
 /// A pixel counts as different above this many of 255 levels.
 const LEVELS: u8 = 8;

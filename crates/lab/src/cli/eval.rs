@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::{note, result};
-use tmpi_lab::eval::{self, Settings};
+use crate::eval::{self, Settings};
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use super::{note, result};
-use tmpi_lab::files;
-use tmpi_lab::ghosts::{self, Ghosts, Pair};
-use tmpi_lab::table::table;
+use crate::files;
+use crate::ghosts::{self, Ghosts, Pair};
+use crate::table::table;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
@@ -42,12 +42,12 @@ pub(super) fn run(args: &GhostArgs) -> anyhow::Result<()> {
     }
     let heads = ["seen, %", "outlines of any colour, %", "residue, levels"];
     let [without, with] = ["without matting: ", "with: "].map(|how| heads.map(|head| format!("{how}{head}")).to_vec());
-    let mut lines = vec![[vec![String::new(), "places".into()], without, with].concat()];
-    lines.extend(rows.into_iter().map(|(name, Pair { unmatted, made })| {
+    let head = [vec![String::new(), "places".into()], without, with].concat();
+    let lines = rows.into_iter().map(|(name, Pair { unmatted, made })| {
         let [without, with] = [unmatted, made].map(|g: Ghosts| {
             [format!("{:.1}", 100.0 * g.share()), format!("{:.1}", 100.0 * g.outline_share()), format!("{:.2}", g.mean())].to_vec()
         });
         [vec![name, unmatted.places.to_string()], without, with].concat()
-    }));
-    result(table(1, &lines).trim_end())
+    });
+    result(table(1, &head, lines).trim_end())
 }

@@ -7,9 +7,9 @@ use clap::CommandFactory;
 use clap::error::ErrorKind;
 
 use super::{Cli, note, result, size};
+use crate::live::sweep::OperatingPoint;
+use crate::{files, live};
 use tmpi_core::live::MAX_PIXELS;
-use tmpi_lab::live::sweep::OperatingPoint;
-use tmpi_lab::{files, live};
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::{self, models};
 
@@ -82,17 +82,12 @@ pub(super) fn run(args: &LiveBenchArgs) -> anyhow::Result<()> {
 mod tests {
     use clap::Parser as _;
 
+    use super::super::Command;
     use super::*;
 
-    #[derive(clap::Parser)]
-    struct Cli {
-        #[command(flatten)]
-        bench: LiveBenchArgs,
-    }
-
     fn asked(args: &str) -> Vec<OperatingPoint> {
-        let cli = Cli::try_parse_from(["bench"].into_iter().chain(args.split_whitespace())).map_err(|e| e.to_string());
-        cli.map(|c| points(&c.bench)).unwrap_or_default()
+        let cli = Cli::try_parse_from(["tmpi-lab", "live-bench"].into_iter().chain(args.split_whitespace()));
+        if let Ok(Cli { command: Command::LiveBench(args) }) = cli { points(&args) } else { Vec::new() }
     }
 
     #[test]

@@ -1,14 +1,10 @@
 //! Training data for Ψ: layers of rendered scenes, with the true colours of their hidden texels.
 
-use tmpi_core::TexturedLayer;
-use tmpi_core::{Class, Geometry, Grid, Rect, TileFrame, ViewBox};
-use tmpi_lab::scenes::{Picture, Scene, hidden_colours};
-use tmpi_pipeline::depth;
-use tmpi_pipeline::edges;
-use tmpi_pipeline::layers;
-use tmpi_pipeline::layers::refine;
+use crate::scenes::{Picture, Scene, hidden_colours};
+use tmpi_core::{Class, Geometry, Grid, Rect, TexturedLayer, TileFrame, ViewBox};
+use tmpi_pipeline::layers::{self, refine};
 use tmpi_pipeline::planes::place;
-use tmpi_pipeline::{Options, Parallax};
+use tmpi_pipeline::{Options, Parallax, depth, edges};
 
 /// Half the side of the view box, as in the bench.
 const BOX: f64 = 0.06;

@@ -10,9 +10,9 @@ use rayon::prelude::*;
 use serde_json::json;
 
 use super::{note, psi_training_data, size};
+use crate::files;
+use crate::scenes::{Assets, Model, Models, Picture, Pictures, Scene, Up};
 use tmpi_core::{Camera, Photo, Pose};
-use tmpi_lab::files;
-use tmpi_lab::scenes::{Assets, Model, Models, Picture, Pictures, Scene, Up};
 
 /// Render scenes with exact disparity, exact second views and the exact hidden surface
 #[derive(Clone, Debug, clap::Args)]
@@ -65,21 +65,10 @@ const MAX_PIXELS: u64 = 50_000_000;
 
 /// A size that depends on the seed: multiples of 32, area about 256 × 384, aspect 9:16 to 16:9 and sometimes 1:3 to 3:1.
 fn varied_size(seed: u64) -> (u32, u32) {
-    const SIZES: [(u32, u32); 12] = [
-        (384, 256),
-        (352, 288),
-        (256, 384),
-        (416, 224),
-        (320, 320),
-        (384, 256),
-        (288, 352),
-        (352, 256),
-        (416, 256),
-        (224, 416),
-        (544, 192),
-        (192, 512),
-    ];
-    SIZES[(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33) as usize % SIZES.len()]
+    const WIDTHS: [u32; 12] = [384, 352, 256, 416, 320, 384, 288, 352, 416, 224, 544, 192];
+    const HEIGHTS: [u32; 12] = [256, 288, 384, 224, 320, 256, 352, 256, 256, 416, 192, 512];
+    let which = (seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33) as usize % WIDTHS.len();
+    (WIDTHS[which], HEIGHTS[which])
 }
 
 pub(super) fn run(args: &SynthArgs) -> anyhow::Result<()> {
@@ -193,6 +182,11 @@ fn write_picture(folder: &Path, prefix: &str, p: &Picture) -> anyhow::Result<()>
 
 #[cfg(test)]
 mod tests {
+    use std::ffi::OsStr;
+
+    use clap::Parser as _;
+
+    use super::super::{Cli, Command};
     use super::*;
 
     #[test]
@@ -214,21 +208,9 @@ mod tests {
     #[test]
     fn written_scenes_can_be_read_back() -> anyhow::Result<()> {
         let folder = tempfile::tempdir()?;
-        let args = SynthArgs {
-            output: folder.path().into(),
-            count: 2,
-            seed: 5,
-            size: Some((64, 48)),
-            views: 1,
-            baseline: 0.05,
-            hidden: true,
-            layers: true,
-            supersampling: 1,
-            pictures: None,
-            models: None,
-            models_up: Up::Y,
-            resume: false,
-        };
+        let words = "tmpi-lab synth --count 2 --seed 5 --size 64x48 --views 1 --baseline 0.05 --hidden --layers --supersampling 1 --output";
+        let words = words.split(' ').map(OsStr::new).chain([folder.path().as_os_str()]);
+        let Cli { command: Command::Synth(args) } = Cli::try_parse_from(words)? else { panic!("another command") };
         run(&args)?;
         let scene = Scene::framed(6, 64, 48);
         let picture = scene.render(&scene.camera(), 1);

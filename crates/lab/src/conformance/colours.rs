@@ -139,7 +139,8 @@ pub(super) fn anaglyphs(checked: &mut Checked, kernel: impl Fn(&View, &View, Ste
     ];
     for ((layout, matrices), (name, [left, right])) in GLASSES.iter().flat_map(|g| pairs.iter().map(move |p| (g, p))) {
         checked.case("anaglyphs", &format!("{name}, {}", layout.name()), "mix", "levels", 0.501, || {
-            let Some(mixed) = kernel(left, right, *layout) else { return f64::INFINITY };
+            let mixed = kernel(left, right, *layout).filter(|mixed| mixed.rgba.len() == left.rgba.len());
+            let Some(mixed) = mixed else { return f64::INFINITY };
             let off = |((l, r), got): ((&[u8; 4], &[u8; 4]), &[u8; 4])| {
                 let part = |row: &[i16; 3], p: &[u8; 4]| (0..3).map(|c| f64::from(row[c]) * f64::from(p[c])).sum::<f64>() / 1000.0;
                 let alpha = f64::from(l[3].min(r[3]));
@@ -147,11 +148,7 @@ pub(super) fn anaglyphs(checked: &mut Checked, kernel: impl Fn(&View, &View, Ste
                 let want = [colour(0), colour(1), colour(2), alpha];
                 got.iter().zip(want).map(|(g, w)| (f64::from(*g) - w).abs()).fold(0.0, f64::max)
             };
-            if mixed.rgba.len() == left.rgba.len() {
-                left.rgba.iter().zip(&right.rgba).zip(&mixed.rgba).map(off).fold(0.0, f64::max)
-            } else {
-                f64::INFINITY
-            }
+            left.rgba.iter().zip(&right.rgba).zip(&mixed.rgba).map(off).fold(0.0, f64::max)
         });
     }
 }

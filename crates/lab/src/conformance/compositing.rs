@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::photos::identity;
 use super::scenes::{all, own_camera, stack};
-use super::{Checked, Hosts};
+use super::{Checked, Host};
 use tmpi_core::{Pose, Scene};
 use tmpi_render::{Renderer, View, corners};
 
@@ -40,8 +40,8 @@ fn levels(host: &dyn Renderer, scene: &Arc<Scene>, want: [f64; 4]) -> f64 {
     view.rgba.iter().flat_map(|p| p.iter().zip(want).map(|(p, w)| (f64::from(*p) - w).abs())).fold(0.0, f64::max)
 }
 
-pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
-    for host in &hosts.all {
+pub(super) fn run(checked: &mut Checked, hosts: &[Host]) {
+    for host in hosts {
         let host = host.as_ref();
         // 16-bit floats round by up to a sixteenth of a level after each layer, up and down
         let rounding = if host.name() == "gpu" { 1.0 } else { 0.0 };
@@ -61,8 +61,7 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
         ties(checked, host, 0.51 + rounding);
         for (name, scene) in all().into_iter().filter(|(n, _)| FAITHFUL.contains(n)) {
             let scene = Arc::new(scene);
-            let bound = if host.name() == "gpu" { 1.0 } else { 0.0 };
-            checked.case(FAMILY, &format!("identity view of {name}"), host.name(), "levels", bound, || identity(Some(&scene), host));
+            checked.case(FAMILY, &format!("identity view of {name}"), host.name(), "levels", rounding, || identity(Some(&scene), host));
             checked.case(FAMILY, &format!("borders of {name} from the corners of the view box"), host.name(), "open pixels", 0.0, || {
                 [0.0, 0.4, 1.0].into_iter().flat_map(|pivot| corners(&scene.view_box, pivot)).map(|pose| open(host, &scene, pose)).sum()
             });

@@ -7,6 +7,7 @@ use tmpi_testing::pictures::noise;
 
 use super::Checked;
 use super::clustering::{GRID, METHODS};
+use super::map_filters::map;
 
 /// Parallax errors asked for, in pixels.
 const TARGETS: [f64; 3] = [0.25, 1.0, 8.0];
@@ -22,10 +23,6 @@ pub(super) fn run(checked: &mut Checked) {
     targets(checked, |map, grid, placement| place(map, None, grid, placement));
     pixels(checked, |k, view_box, rect| Parallax::new(k, view_box).most(rect));
     warm_start(checked, |map, grid, placement, tiles| place_again(map, None, grid, placement, tiles, |_| true));
-}
-
-fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
-    DisparityMap::from_fn(width, height, delta)
 }
 
 fn figure(x: u32, y: u32) -> bool {

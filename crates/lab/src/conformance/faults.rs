@@ -6,20 +6,16 @@ use tmpi_core::container::{self, RegionPhoto, TileRect};
 use tmpi_core::{Camera, Class, DisparityMap, Geometry, Intrinsics, LayerMasks, Plane, Pose, Scene, ViewBox, texture};
 use tmpi_live::align::{Affine, fit};
 use tmpi_pipeline::depth::{DepthKind, from_map, upsample};
-use tmpi_pipeline::edges;
 use tmpi_pipeline::photo::{Decoded, Limits, decode};
 use tmpi_pipeline::planes::{Placement, place, place_again, smooth_labels};
-use tmpi_pipeline::{Options, Parallax};
+use tmpi_pipeline::{Options, Parallax, edges};
 use tmpi_render::{Cpu, RenderError, Renderer, View};
 
-use crate::oracle_depth;
-
 use super::{
-    Checked, Hosts, Kernel, Verdict, clustering, colours, compositing, error_target, levels, live_depth, live_motion, map_filters, matting,
+    Checked, Host, Kernel, Verdict, clustering, colours, compositing, error_target, levels, live_depth, live_motion, map_filters, matting,
     photos, quantisation, readers, stereo, view_box_corners, views,
 };
 
-/// A fault planted in a kernel.
 struct Fault {
     family: &'static str,
     subjects: &'static [&'static str],
@@ -155,10 +151,9 @@ const FAULTS: &[Fault] = &[
     }),
     // half a degree of turn
     fault("planes", &["gpu"], &["ground", "typical", "holes", "one row"], |c| {
-        views::run(
-            c,
-            &hosts(|cpu, scene, camera| cpu.render(scene, &Camera { pose: Pose { yaw: camera.pose.yaw + 0.5, ..camera.pose }, ..*camera })),
-        );
+        let turned =
+            hosts(|cpu, scene, camera| cpu.render(scene, &Camera { pose: Pose { yaw: camera.pose.yaw + 0.5, ..camera.pose }, ..*camera }));
+        views::run(c, &turned);
     }),
     // a surface is lost where it comes near
     fault("near", &["gpu"], &["two values, 0.9990 of the way", "two values, 0.9995 of the way"], |c| {
@@ -167,14 +162,14 @@ const FAULTS: &[Fault] = &[
             view.rgba.iter_mut().filter(|_| camera.pose.tz > 0.9985).for_each(|p| *p = [0; 4]);
             Ok(view)
         });
-        views::near(c, lost.all[0].as_ref());
+        views::near(c, lost[0].as_ref());
     }),
     // what cannot be drawn is a black picture
     fault("cameras", &["gpu"], &["pose of NaN", "focal length 0", "width 0", "8192×8193"], |c| {
         let drawn = hosts(|cpu, scene, camera| {
             Ok(cpu.render(scene, camera).unwrap_or(View { width: camera.width, height: camera.height, rgba: vec![[0; 4]; 640] }))
         });
-        views::refusals(c, drawn.all[0].as_ref());
+        views::refusals(c, drawn[0].as_ref());
     }),
     // of equals the first lies in front
     fault("compositing", &["gpu"], &["ties in depth, soft"], |c| {
@@ -183,7 +178,7 @@ const FAULTS: &[Fault] = &[
             scene.layers.reverse();
             cpu.render(&Arc::new(scene), camera)
         });
-        compositing::ties(c, first.all[0].as_ref(), 1.51);
+        compositing::ties(c, first[0].as_ref(), 1.51);
     }),
     // what covers the photo is missing along its left border, and all is darker
     fault(
@@ -191,16 +186,14 @@ const FAULTS: &[Fault] = &[
         &["gpu"],
         &["64 layers of alpha 128/255", "identity view of flat", "borders of flat", "borders of typical"],
         |c| {
-            compositing::run(
-                c,
-                &hosts(|cpu, scene, camera| {
-                    let mut view = cpu.render(scene, camera)?;
-                    let width = view.width as usize;
-                    view.rgba.iter_mut().for_each(|p| *p = p.map(|v| v.saturating_sub(4)));
-                    view.rgba.iter_mut().step_by(width).for_each(|p| *p = [0; 4]);
-                    Ok(view)
-                }),
-            );
+            let dark = hosts(|cpu, scene, camera| {
+                let mut view = cpu.render(scene, camera)?;
+                let width = view.width as usize;
+                view.rgba.iter_mut().for_each(|p| *p = p.map(|v| v.saturating_sub(4)));
+                view.rgba.iter_mut().step_by(width).for_each(|p| *p = [0; 4]);
+                Ok(view)
+            });
+            compositing::run(c, &dark);
         },
     ),
     // rows from the bottom up
@@ -219,14 +212,12 @@ const FAULTS: &[Fault] = &[
         });
     }),
     fault("photos", &["gpu"], &["63×63, identity", "palette, identity", "CMYK JPEG, identity", "1×2000, identity"], |c| {
-        photos::run(
-            c,
-            &hosts(|cpu, scene, camera| {
-                let mut view = cpu.render(scene, camera)?;
-                view.rgba.reverse();
-                Ok(view)
-            }),
-        );
+        let reversed = hosts(|cpu, scene, camera| {
+            let mut view = cpu.render(scene, camera)?;
+            view.rgba.reverse();
+            Ok(view)
+        });
+        photos::run(c, &reversed);
     }),
     // coefficients between the grid's
     fault("quantisation", &["planes"], &["NaN, infinite and huge coefficients"], |c| quantisation::rounding(c, |plane| *plane)),
@@ -241,17 +232,17 @@ const FAULTS: &[Fault] = &[
     }),
     // the nearest layer of all is lost
     fault("quantisation", &["container"], &["identity view"], |c| {
-        let models = oracle_depth::models(photos::Brightness);
+        let models = photos::by_brightness();
         let hole = |file: &[u8], options: &Options| {
             let mut scene = Scene::clone(&*photos::made(&models, file, options)?);
             scene.layers.pop();
             Some(Arc::new(scene))
         };
-        quantisation::options(c, hole, &Hosts { all: Vec::new() });
+        quantisation::options(c, hole, &[]);
     }),
     // half the way
     fault("quantisation", &["gpu"], &["views from the corners of the box"], |c| {
-        let models = oracle_depth::models(photos::Brightness);
+        let models = photos::by_brightness();
         let half =
             hosts(|cpu, scene, camera| cpu.render(scene, &Camera { pose: Pose { tx: 0.5 * camera.pose.tx, ..camera.pose }, ..*camera }));
         quantisation::options(c, |file, options| photos::made(&models, file, options), &half);
@@ -333,8 +324,8 @@ struct Faulty(Cpu, Drawn);
 
 type Drawn = fn(&Cpu, &Arc<Scene>, &Camera) -> Result<View, RenderError>;
 
-fn hosts(fault: Drawn) -> Hosts {
-    Hosts { all: vec![Arc::new(Faulty(Cpu::default(), fault))] }
+fn hosts(fault: Drawn) -> [Host; 1] {
+    [Arc::new(Faulty(Cpu::default(), fault))]
 }
 
 impl Renderer for Faulty {

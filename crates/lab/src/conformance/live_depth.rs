@@ -5,13 +5,13 @@ use tmpi_live::align::{Affine, fit, join_borders};
 use tmpi_live::change::BLOCK;
 use tmpi_testing::pictures::noise;
 
-use super::Checked;
+use super::{Checked, largest};
 
 const FAMILY: &str = "live depth";
 
 pub(super) fn run(checked: &mut Checked) {
     scales(checked, fit);
-    noise_alone(checked, fit);
+    noise_alone(checked);
     borders(checked, join_borders);
 }
 
@@ -40,22 +40,19 @@ pub(super) fn scales(checked: &mut Checked, kernel: impl Fn(&DisparityMap, &Disp
             checked.case(FAMILY, &name, "scale and shift", "δ", bound, || {
                 let Affine { scale, shift } = kernel(from, &last, &steady);
                 let off = |(new, last): (&f32, &f32)| (scale * f64::from(*new) + shift - f64::from(*last)).abs();
-                if scale.is_finite() && shift.is_finite() {
-                    new.delta.iter().zip(&last.delta).map(off).fold(0.0, f64::max)
-                } else {
-                    f64::INFINITY
-                }
+                let is_finite = scale.is_finite() && shift.is_finite();
+                if is_finite { new.delta.iter().zip(&last.delta).map(off).fold(0.0, f64::max) } else { f64::INFINITY }
             });
         }
     }
 }
 
 /// Noise of one surface is no scale, even if the last map has less of it.
-fn noise_alone(checked: &mut Checked, kernel: impl Fn(&DisparityMap, &DisparityMap, &[bool]) -> Affine) {
+fn noise_alone(checked: &mut Checked) {
     let flat = |by: f32, seed: u32| DisparityMap::from_fn(60, 60, |x, y| 0.4 + by * (noise(y * 60 + x, seed) - 0.5));
     for seed in 0..4 {
         checked.case(FAMILY, &format!("noise alone, {seed}"), "scale and shift", "of the scale", 1e-9, || {
-            (kernel(&flat(0.04, seed), &flat(0.008, seed + 100), &[true; 3600]).scale - 1.0).abs()
+            (fit(&flat(0.04, seed), &flat(0.008, seed + 100), &[true; 3600]).scale - 1.0).abs()
         });
     }
 }
@@ -74,12 +71,7 @@ pub(super) fn borders(checked: &mut Checked, kernel: impl Fn(&mut DisparityMap, 
             kernel(&mut joined, &last, &stale, across as usize);
             let is_stale = |i: usize| stale[(i as u32 / w / BLOCK * across + i as u32 % w / BLOCK) as usize];
             let want = |i: usize| if is_stale(i) { last.delta[i] } else { new.delta[i] };
-            joined
-                .delta
-                .iter()
-                .enumerate()
-                .map(|(i, d)| f64::from((d - want(i)).abs()))
-                .fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) })
+            largest(joined.delta.iter().enumerate().map(|(i, d)| f64::from((d - want(i)).abs())))
         });
     }
 }

@@ -1,7 +1,7 @@
 //! Disparity maps: cleaning, snapping, enlarging, and smoothing of labels.
 
-use super::Checked;
 use super::reference::{Resized, guided, resized, smoothed_labels};
+use super::{Checked, largest};
 use tmpi_core::{DisparityMap, Grid, Photo, Plane};
 use tmpi_pipeline::denoise::{local_planes, median_guided};
 use tmpi_pipeline::depth::{DepthKind, from_map, upsample};
@@ -25,7 +25,7 @@ fn even(seed: u32) -> impl Fn(u32, u32) -> f32 {
     move |x, y| noise(x, y + 1000 * seed)
 }
 
-fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
+pub(super) fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
     DisparityMap::from_fn(width, height, delta)
 }
 
@@ -181,11 +181,7 @@ pub(super) fn enlarge(checked: &mut Checked, kernel: impl Fn(&Photo, &DisparityM
             if got.delta.len() != want.len() {
                 return f64::INFINITY;
             }
-            got.delta
-                .iter()
-                .zip(want)
-                .map(|(g, w)| (f64::from(*g) - w).abs())
-                .fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) })
+            largest(got.delta.iter().zip(want).map(|(g, w)| (f64::from(*g) - w).abs()))
         });
     }
     for (name, (w, h)) in [("to 16 times the size", (320u32, 240u32)), ("to one row", (300, 1)), ("to one column", (1, 300))] {
@@ -245,8 +241,7 @@ pub(super) fn resize(checked: &mut Checked, kernel: impl Fn(&[u8], (u32, u32)) -
                     let mixed = (got - want.mean).abs();
                     if high - low > EDGE { want.samples.iter().map(|v| (v - got).abs()).fold(f64::INFINITY, f64::min) } else { mixed }
                 };
-                let all = got.delta.iter().zip(resized(&full, to)).map(off);
-                all.fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) })
+                largest(got.delta.iter().zip(resized(&full, to)).map(off))
             });
         }
     }

@@ -24,17 +24,15 @@ mod view_box_corners;
 mod views;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
 
 pub use raycast::{cast, cast_in_layer_order};
-use tmpi_pipeline::Models;
 use tmpi_render::{Cpu, Gpu, Reference, Renderer};
+pub use view_box_corners::run_on_photos;
 
-/// What became of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
@@ -44,10 +42,8 @@ pub enum Verdict {
     Fail,
 }
 
-/// One case.
 #[derive(Clone, Debug, Serialize)]
 pub struct Case {
-    /// Family of cases.
     pub family: &'static str,
     /// What is stiff or extreme about it.
     pub name: String,
@@ -55,34 +51,25 @@ pub struct Case {
     pub subject: &'static str,
     /// What `error` and `bound` count.
     pub unit: &'static str,
-    /// Largest error allowed.
     pub bound: f64,
     /// Error found; none where the code under test panicked or gave something that is no number.
     pub error: Option<f64>,
-    /// Verdict.
     pub verdict: Verdict,
     /// Milliseconds since the case before it, with what was prepared for it.
     pub ms: f64,
 }
 
-/// All cases of one kernel.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Kernel {
-    /// Family of cases.
     pub family: &'static str,
-    /// The kernel or the renderer under test.
     pub subject: &'static str,
-    /// Count of cases.
     pub cases: usize,
-    /// Count of those that failed.
     pub failed: usize,
     /// The error that came nearest to its bound, as a share of that; infinite where there is none.
     pub nearest: f64,
-    /// Milliseconds that they took.
     pub ms: f64,
 }
 
-/// Everything that was checked.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Checked {
     /// All cases, family by family.
@@ -95,7 +82,6 @@ pub struct Checked {
 }
 
 impl Checked {
-    /// Count of the cases that failed.
     pub fn failed(&self) -> usize {
         self.cases.iter().filter(|c| c.verdict == Verdict::Fail).count()
     }
@@ -137,26 +123,27 @@ impl Checked {
     }
 }
 
+/// The largest error; infinite where one is no number.
+fn largest(errors: impl Iterator<Item = f64>) -> f64 {
+    errors.fold(0.0, |most, error| if error.is_nan() { f64::INFINITY } else { most.max(error) })
+}
+
+/// A renderer to check.
+type Host = Arc<dyn Renderer>;
+
 /// The renderers that can be checked here: `reference`, `cpu`, and `gpu` on whatever adapter there is.
-struct Hosts {
-    all: Vec<Arc<dyn Renderer>>,
-}
-
-impl Hosts {
-    fn new(skipped: &mut Vec<String>) -> Self {
-        let mut all: Vec<Arc<dyn Renderer>> = vec![Arc::new(Reference), Arc::new(Cpu::default())];
-        match Gpu::new(true) {
-            Ok(gpu) => all.push(Arc::new(gpu)),
-            Err(reason) => skipped.push(format!("gpu: {reason}")),
-        }
-        Self { all }
+fn hosts(skipped: &mut Vec<String>) -> Vec<Host> {
+    let mut all: Vec<Host> = vec![Arc::new(Reference), Arc::new(Cpu::default())];
+    match Gpu::new(true) {
+        Ok(gpu) => all.push(Arc::new(gpu)),
+        Err(reason) => skipped.push(format!("gpu: {reason}")),
     }
+    all
 }
 
-/// Runs all cases.
 pub fn run() -> Checked {
     let mut checked = Checked::default();
-    let hosts = Hosts::new(&mut checked.skipped);
+    let hosts = hosts(&mut checked.skipped);
     clustering::run(&mut checked);
     error_target::run(&mut checked);
     map_filters::run(&mut checked);
@@ -172,13 +159,6 @@ pub fn run() -> Checked {
     photos::run(&mut checked, &hosts);
     quantisation::run(&mut checked, &hosts);
     view_box_corners::disc(&mut checked, |scene| scene);
-    checked
-}
-
-/// What the corners of the view box see, on all photos of `folders`.
-pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
-    let mut checked = Checked::default();
-    view_box_corners::run(&mut checked, folders, models);
     checked
 }
 

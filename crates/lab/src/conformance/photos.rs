@@ -10,30 +10,22 @@ use tmpi_testing::pictures::{encoded, noise, wave, waves};
 use tmpi_testing::png::{Png, chunk};
 
 use super::scenes::own_camera;
-use super::{Checked, Hosts};
+use super::{Checked, Host};
 use crate::oracle_depth;
-use tmpi_core::container;
-use tmpi_core::{DisparityMap, Photo, Pose, Scene};
-use tmpi_pipeline::Silent;
-use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_core::{DisparityMap, Photo, Pose, Scene, container};
 use tmpi_pipeline::photo::{Decoded, Limits, PhotoError, decode};
-use tmpi_pipeline::{self, Models, Options};
+use tmpi_pipeline::{self, Models, Options, Silent};
 use tmpi_render::Renderer;
 
 const FAMILY: &str = "photos";
 
 /// Depth by brightness: edges wherever the photo has them, for photos of any shape, without a network.
-pub(super) struct Brightness;
-
-impl Estimator for Brightness {
-    fn name(&self) -> &'static str {
-        "brightness"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+pub(super) fn by_brightness() -> Models {
+    let estimate = |photo: &Photo| {
         let delta = photo.rgb.iter().map(|p| p.iter().map(|&v| f32::from(v)).sum::<f32>() / 765.0).collect();
         Ok(DisparityMap { width: photo.width, height: photo.height, delta })
-    }
+    };
+    oracle_depth::models(("brightness", estimate))
 }
 
 /// Colour of a pixel, 0 to 255.
@@ -131,11 +123,11 @@ fn off<const N: usize>(pixels: &[[u8; N]], width: u32, truth: impl Fn(u32, u32) 
     (0..).zip(pixels).flat_map(one).collect()
 }
 
-pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
-    let models = oracle_depth::models(Brightness);
+pub(super) fn run(checked: &mut Checked, hosts: &[Host]) {
+    let models = by_brightness();
     for File { name, bytes, truth, view, .. } in readable() {
         let scene = made(&models, &bytes, &Options::default());
-        for host in &hosts.all {
+        for host in hosts {
             checked.case(FAMILY, &format!("{name}, identity view"), host.name(), "levels, rms", view, || {
                 let Some(drawn) = scene.as_ref().and_then(|s| host.render(s, &own_camera(s, Pose::default())).ok()) else {
                     return f64::INFINITY;
@@ -183,7 +175,6 @@ pub(super) fn identity(scene: Option<&Arc<Scene>>, host: &dyn Renderer) -> f64 {
     view.rgba.iter().zip(&scene.photo.rgb).map(off).max().unwrap_or(u8::MAX).into()
 }
 
-/// Whether an error is the expected one.
 type IsExpected<'a> = &'a dyn Fn(&PhotoError) -> bool;
 
 /// Files that are no photo or too much of one.

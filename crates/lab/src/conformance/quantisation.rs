@@ -2,11 +2,10 @@
 
 use std::sync::Arc;
 
-use super::photos::{Brightness, identity, made};
+use super::photos::{by_brightness, identity, made};
 use super::scenes::own_camera;
 use super::views::{bound, wrong};
-use super::{Checked, Hosts, cast, cast_in_layer_order};
-use crate::oracle_depth;
+use super::{Checked, Host, cast, cast_in_layer_order};
 use tmpi_core::{Camera, DisparityMap, Plane, Pose, Scene, ViewBox};
 use tmpi_pipeline::depth::{DepthKind, from_map, to_png};
 use tmpi_pipeline::photo::Limits;
@@ -17,8 +16,8 @@ use tmpi_testing::pictures::waves;
 /// Layers a tile at most, as [`tmpi_pipeline::planes::MAX_PLANES`] and one behind them.
 const LAYERS: usize = tmpi_pipeline::planes::MAX_PLANES as usize + 1;
 
-pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
-    let models = oracle_depth::models(Brightness);
+pub(super) fn run(checked: &mut Checked, hosts: &[Host]) {
+    let models = by_brightness();
     let make = |file: &[u8], options: &Options| made(&models, file, options);
     rounding(checked, Plane::quantised);
     sixteen_bits(checked, |map| {
@@ -69,7 +68,7 @@ fn moved(scene: &Scene) -> [Camera; 2] {
 }
 
 /// The way and the container at both ends of every option. `kernel` makes a photo.
-pub(super) fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Scene>>, hosts: &Hosts) {
+pub(super) fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Scene>>, hosts: &[Host]) {
     let file = waves(150, 100);
     let cpu = Cpu::default();
     let plain = Options::default;
@@ -94,21 +93,13 @@ pub(super) fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) ->
             identity(kernel(&file, &options).as_ref(), &cpu)
         });
         let scene = kernel(&file, &options);
-        for host in &hosts.all {
-            checked.case(
-                "quantisation",
-                &format!("views from the corners of the box, {name}"),
-                host.name(),
-                "% of pixels",
-                bound(host.as_ref()),
-                || {
-                    scene.as_ref().map_or(f64::INFINITY, |scene| {
-                        let cameras = moved(scene);
-                        let host = host.as_ref();
-                        cameras.iter().map(|c| wrong(host, scene, c, &expected(host, &options, scene, c))).fold(0.0, f64::max)
-                    })
-                },
-            );
+        for host in hosts {
+            let (host, name) = (host.as_ref(), format!("views from the corners of the box, {name}"));
+            checked.case("quantisation", &name, host.name(), "% of pixels", bound(host), || {
+                let Some(scene) = &scene else { return f64::INFINITY };
+                let wrong = |c: &Camera| wrong(host, scene, c, &expected(host, &options, scene, c));
+                moved(scene).iter().map(wrong).fold(0.0, f64::max)
+            });
         }
     }
     checked.case("quantisation", "layers a tile", "container", "more than there may be", 0.0, || {

@@ -6,17 +6,14 @@
 use rayon::prelude::*;
 
 use super::border_colours_reference::Continued;
-use tmpi_core::{Border, Camera, Class, Pose, Scene};
+use tmpi_core::{Border, Camera, Class, Pose, Rect, Scene};
 use tmpi_render::{NEAR, OPAQUE, border_margin};
 
 /// A layer, unpacked, at its own place or mirrored beyond the photo's borders: there the ray is mirrored instead.
 struct Sheet {
     /// `δ = n·(x, y, 1)` in reference pixels.
     n: [f64; 3],
-    /// Rectangle: left, upper, width, height in pixels.
-    rect: [f64; 4],
-    width: usize,
-    height: usize,
+    rect: Rect,
     texels: Vec<[u8; 4]>,
     /// Left, upper, right and lower end of what its tile draws, in pixels.
     limits: [f64; 4],
@@ -129,15 +126,8 @@ fn sheets(scene: &Scene, index: usize, margin: [u32; 2], continued: &Continued) 
             [r, g, b, own[3]]
         };
         let texels = (y0..y1).flat_map(|y| (x0..x1).map(move |x| (y, x))).map(texel).collect();
-        Sheet {
-            n: whole.n,
-            rect: [x0, y0, x1 - x0, y1 - y0].map(f64::from),
-            width: (x1 - x0) as usize,
-            height: (y1 - y0) as usize,
-            texels,
-            limits: whole.limits,
-            mirrors: [mx, my],
-        }
+        let rect = Rect { x: x0, y: y0, w: x1 - x0, h: y1 - y0 };
+        Sheet { n: whole.n, rect, texels, limits: whole.limits, mirrors: [mx, my] }
     };
     rows.iter().flat_map(|y| columns.iter().map(move |x| (y, x))).map(|(y, x)| cut(y, x)).collect()
 }
@@ -154,21 +144,18 @@ fn sheet(scene: &Scene, index: usize) -> Sheet {
     let inner = [tile.x > 0, tile.y > 0, right < scene.grid.width, lower < scene.grid.height].map(|inner| if inner { by } else { 0.0 });
     let [x0, y0, x1, y1] = [tile.x, tile.y, right, lower].map(f64::from);
     let limits = [x0 + inner[0], y0 + inner[1], x1 - inner[2], y1 - inner[3]];
-    Sheet {
-        n: [b, c, l.plane.a - b * centre.0 - c * centre.1],
-        rect: [l.rect.x, l.rect.y, l.rect.w, l.rect.h].map(f64::from),
-        width: l.rect.w as usize,
-        height: l.rect.h as usize,
-        texels,
-        limits,
-        mirrors: [None; 2],
-    }
+    Sheet { n: [b, c, l.plane.a - b * centre.0 - c * centre.1], rect: l.rect, texels, limits, mirrors: [None; 2] }
 }
 
 impl Sheet {
+    /// Left, upper, width and height of its rectangle.
+    fn place(&self) -> [f64; 4] {
+        [self.rect.x, self.rect.y, self.rect.w, self.rect.h].map(f64::from)
+    }
+
     /// Disparity at the middle of its rectangle.
     fn mean(&self) -> f64 {
-        let [x, y, w, h] = self.rect;
+        let [x, y, w, h] = self.place();
         dot(&self.n, &[x + w / 2.0, y + h / 2.0, 1.0])
     }
 
@@ -185,8 +172,9 @@ impl Sheet {
         let (x, y) = (q[0] / q[2], q[1] / q[2]);
         let [left, upper, right, lower] = self.limits;
         let drawn = x >= left && y >= upper && x <= right && y <= lower;
-        let (x, y) = (x - self.rect[0], y - self.rect[1]);
-        let inside = drawn && x >= 0.0 && y >= 0.0 && x <= self.rect[2] && y <= self.rect[3];
+        let [x0, y0, w, h] = self.place();
+        let (x, y) = (x - x0, y - y0);
+        let inside = drawn && x >= 0.0 && y >= 0.0 && x <= w && y <= h;
         if !(lambda.is_finite() && q[2] > 0.0 && lambda * NEAR <= 1.0 && inside) {
             return None;
         }
@@ -200,9 +188,10 @@ impl Sheet {
             let v = (v - 0.5).clamp(0.0, (n - 1) as f64);
             (v.floor() as usize, (v.floor() as usize + 1).min(n - 1), v.fract())
         };
-        let ((x0, x1, fx), (y0, y1, fy)) = (split(x, self.width), split(y, self.height));
+        let (width, height) = (self.rect.w as usize, self.rect.h as usize);
+        let ((x0, x1, fx), (y0, y1, fy)) = (split(x, width), split(y, height));
         let at = |x: usize, y: usize, c: usize| {
-            let t = self.texels[y * self.width + x];
+            let t = self.texels[y * width + x];
             f64::from(t[c]) * if c < 3 { f64::from(t[3]) / 255.0 } else { 1.0 }
         };
         let mix = |a: f64, b: f64, t: f64| a * (1.0 - t) + b * t;

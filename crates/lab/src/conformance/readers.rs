@@ -33,9 +33,7 @@ fn photo(geometry: &Geometry) -> Photo {
     Photo { width, height, rgb: (0..width * height).map(|i| [i % 251, i / 3 % 241, i * 7 % 239].map(|v| v as u8)).collect() }
 }
 
-/// Colour of a pixel.
 type Paint = fn(u32, u32) -> [u8; 3];
-/// Label of a pixel.
 type Label = fn(u32, u32) -> u8;
 
 /// Pixels of parallax over a box of .03 up to which a rim that folds is a crease.

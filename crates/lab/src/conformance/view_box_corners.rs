@@ -3,15 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::Checked;
-use super::scenes;
+use super::{Checked, scenes};
 use crate::files;
-use tmpi_core::container;
-use tmpi_core::container::PhotoFormat;
+use tmpi_core::container::{self, PhotoFormat};
 use tmpi_core::{Scene, ViewBox};
-use tmpi_pipeline::Silent;
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{self, Models, Options};
+use tmpi_pipeline::{self, Models, Options, Silent};
 use tmpi_render::{Cpu, Renderer, corners};
 
 const FAMILY: &str = "corners of the view box";
@@ -73,7 +70,8 @@ fn corners_of(checked: &mut Checked, name: &str, kernel: impl FnOnce() -> Option
 }
 
 /// Checks every photo of the folders; a folder without one is a skipped case.
-pub(super) fn run(checked: &mut Checked, folders: &[PathBuf], models: &Models) {
+pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
+    let mut checked = Checked::default();
     for folder in folders {
         let mut photos = files::entries(folder).unwrap_or_default();
         photos.retain(|p| is_photo(p));
@@ -81,9 +79,10 @@ pub(super) fn run(checked: &mut Checked, folders: &[PathBuf], models: &Models) {
             checked.skipped.push(format!("{}: no photo in it", folder.display()));
         }
         for path in photos {
-            corners_of(checked, &files::name(&path), || scene(models, &path));
+            corners_of(&mut checked, &files::name(&path), || scene(models, &path));
         }
     }
+    checked
 }
 
 fn is_photo(path: &Path) -> bool {

@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use super::scenes::{all, cameras, close, flat, own_camera};
-use super::{Checked, Hosts, cast, cast_in_layer_order};
+use super::{Checked, Host, cast, cast_in_layer_order};
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
 use tmpi_render::{NEAR, RenderError, Renderer};
 
@@ -44,11 +44,11 @@ pub(super) fn wrong(host: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera, wa
     if want.len() < FEW && bad > 0 { f64::INFINITY } else { 100.0 * bad as f64 / want.len() as f64 }
 }
 
-pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
+pub(super) fn run(checked: &mut Checked, hosts: &[Host]) {
     for (name, scene) in all() {
         let scene = Arc::new(scene);
         let wanted: Vec<_> = cameras(&scene).into_iter().map(|(of, camera)| (of, camera, cast(&scene, &camera))).collect();
-        for host in &hosts.all {
+        for host in hosts {
             let host = host.as_ref();
             let view = |(of, camera, want): &(&'static str, Camera, Vec<[f64; 4]>)| {
                 let excused = host.name() == "gpu" && WITHOUT_ORDER.iter().any(|(scene, cameras)| *scene == name && cameras.contains(of));
@@ -66,7 +66,7 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
             }
         }
     }
-    for host in &hosts.all {
+    for host in hosts {
         near(checked, host.as_ref());
         refusals(checked, host.as_ref());
     }

@@ -23,7 +23,6 @@ pub(super) struct Case {
     pub views: Vec<Truth>,
 }
 
-/// A true second view.
 pub(super) struct Truth {
     pub camera: Camera,
     pub rgb: Vec<[u8; 3]>,
@@ -155,7 +154,7 @@ pub(super) fn picture(path: &Path, width: u32, height: u32) -> Result<Vec<[u8; 3
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::oracle_depth::OracleDepth;
+    use crate::oracle_depth;
 
     #[test]
     fn unknown_disparities_are_those_of_what_lies_behind() {
@@ -165,11 +164,6 @@ mod tests {
         let mut row = [0.0; 3];
         complete(&mut row);
         assert!(row.iter().all(|d: &f64| d.abs() <= 0.0), "{row:?}");
-    }
-
-    /// No pair of these is measured.
-    fn none() -> OracleDepth {
-        OracleDepth(DisparityMap { width: 0, height: 0, delta: Vec::new() })
     }
 
     #[test]
@@ -183,13 +177,15 @@ mod tests {
         rgb.save(scene.join("left.png")).unwrap();
         rgb.save(scene.join("right.png")).unwrap();
         std::fs::write(scene.join("meta.json"), r#"{"scale": 20}"#).unwrap();
-        let cases = read(folder.path(), &none()).unwrap();
+        // depth of this pair is not measured
+        let none = oracle_depth::none().depth;
+        let cases = read(folder.path(), none.as_ref()).unwrap();
         assert_eq!(cases.len(), 1);
         assert!(cases[0].truth.delta.iter().all(|d| (*d - 1.0).abs() < 1e-6));
         // two pixels of shift for the nearest
         let camera = &cases[0].views[0].camera;
         assert!((camera.pose.tx * camera.intrinsics.fx - 2.0).abs() < 1e-12);
         assert_eq!(cases[0].views[0].rgb[9], [1, 1, 7]);
-        assert!(read(&scene, &none()).is_err_and(|e| e.to_string().contains("stereo pair")));
+        assert!(read(&scene, none.as_ref()).is_err_and(|e| e.to_string().contains("stereo pair")));
     }
 }

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::mesh::Warp;
 use super::{Depth, Row};
-use crate::table::row;
+use crate::table;
 use tmpi_core::Camera;
 
 /// Maximum distance from a depth border, in pixels, at which an error counts as the border's.
@@ -38,12 +38,10 @@ pub struct Sources {
 }
 
 impl Sources {
-    /// Sum of all sources.
     pub fn total(&self) -> f64 {
         self.hidden + self.edges + self.geometry + self.resampling
     }
 
-    /// The mean over views.
     pub(super) fn mean(all: &[Self]) -> Self {
         let of = |f: fn(&Self) -> f64| all.iter().map(f).sum::<f64>() / all.len().max(1) as f64;
         Self { hidden: of(|s| s.hidden), edges: of(|s| s.edges), geometry: of(|s| s.geometry), resampling: of(|s| s.resampling) }
@@ -108,7 +106,7 @@ impl<'a> Parts<'a> {
 /// Formats the sources as a table: mean squared error in 1e-4, and the PSNR of the whole view without each source.
 pub(super) fn table(depth: Depth, rows: &[Row]) -> String {
     let geometry = if depth == Depth::Own { "depth" } else { "planes" };
-    let head = row(["way", "all", "hidden colours", "depth edges", geometry, "resampling"]);
+    let head = ["way", "all", "hidden colours", "depth edges", geometry, "resampling"];
     let line = |r: &Row| {
         let s = r.sources;
         let parts = [s.hidden, s.edges, s.geometry, s.resampling].map(|part| {
@@ -117,8 +115,8 @@ pub(super) fn table(depth: Depth, rows: &[Row]) -> String {
         });
         [r.way.to_owned(), format!("{:.2}", 1e4 * s.total())].into_iter().chain(parts).collect::<Vec<_>>()
     };
-    let rows: Vec<Vec<String>> = std::iter::once(head).chain(rows.iter().map(line)).collect();
-    format!("\nmean squared error, 1e-4, by what it comes from; in brackets PSNR if that were right\n{}", crate::table::table(1, &rows))
+    let table = table::table(1, &head, rows.iter().map(line));
+    format!("\nmean squared error, 1e-4, by what it comes from; in brackets PSNR if that were right\n{table}")
 }
 
 /// Mean squared difference over the channels, of values in 0 to 1.

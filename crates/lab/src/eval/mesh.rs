@@ -8,7 +8,6 @@ pub const LONGEST: f64 = 2.5;
 /// Tolerance at edges, in pixels.
 const EDGE: f64 = 1e-9;
 
-/// A drawn mesh.
 pub struct Warp {
     width: usize,
     height: usize,

@@ -18,14 +18,12 @@ use self::error_sources::Parts;
 pub use self::error_sources::Sources;
 pub use self::score::{DepthScore, Score};
 use self::score::{Fit, Mask};
-use crate::table::{row, table};
+use crate::table::table;
 use crate::{LabError, files};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
-use tmpi_pipeline::Silent;
-use tmpi_pipeline::depth;
 use tmpi_pipeline::networks::{Config, Session};
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{self, Denoise, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_pipeline::{self, Denoise, Models, Options, PlaneCount, PlaneMethod, Silent, Switch, TileSize, depth};
 use tmpi_render::{Cpu, Renderer};
 use tmpi_testing::pictures::png;
 
@@ -65,19 +63,11 @@ fn ways() -> Vec<(&'static str, Option<Options>)> {
     ]
 }
 
-/// Names of all ways.
-pub fn names() -> Vec<&'static str> {
-    ways().into_iter().map(|w| w.0).collect()
-}
-
-/// Results of one way.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Row {
-    /// Name of the way.
     pub way: &'static str,
     /// Mean over all views that count.
     pub score: Score,
-    /// Sources of the error.
     pub sources: Sources,
     /// Wall time to make a scene, in ms; includes depth if it is estimated.
     pub make_ms: f64,
@@ -93,16 +83,13 @@ pub struct Row {
     pub scenes: Vec<(String, Score)>,
 }
 
-/// Results of all ways.
 #[derive(Clone, Debug, Serialize)]
 pub struct Results {
-    /// Where depth came from.
     pub depth: Depth,
     /// Number of views that count.
     pub views: usize,
     /// Number of views that do not count, because some way leaves too much of them blank.
     pub blank: usize,
-    /// One row per way.
     pub rows: Vec<Row>,
     /// Score of the estimated disparity; `None` if the true disparity was used.
     pub depth_score: Option<DepthScore>,
@@ -133,7 +120,7 @@ pub struct Settings {
     #[arg(long, value_enum, default_value_t, value_name = "DEPTH")]
     pub depth: Depth,
     /// Run only these methods
-    #[arg(long, value_delimiter = ',', value_parser = names(), value_name = "WAY,…")]
+    #[arg(long, value_delimiter = ',', value_parser = ways().into_iter().map(|way| way.0).collect::<Vec<_>>(), value_name = "WAY,…")]
     pub only: Vec<String>,
     /// Also compute LPIPS with this network: an ONNX file with two inputs [1, 3, height, width] in −1 to 1
     #[arg(long, value_name = "FILE.onnx")]
@@ -144,9 +131,6 @@ pub struct Settings {
 }
 
 /// Measures the named ways, or all of them, on all scenes below the folders.
-///
-/// # Errors
-/// [`LabError`].
 pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabError> {
     let Settings { depth, only, lpips, files } = settings;
     let depth = *depth;
@@ -276,7 +260,6 @@ fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, L
     })
 }
 
-/// Result of one view.
 struct Scored {
     score: Score,
     sources: Sources,
@@ -304,7 +287,7 @@ fn scored(
     }
     let mut score = mask.score(&drawn.rgb, &truth.rgb);
     score.lpips = lpips.map(|network| mask.lpips(network, &drawn.rgb, &truth.rgb)).transpose()?;
-    let sources = parts.sources(&drawn.rgb, &truth.rgb, mask.inside());
+    let sources = parts.sources(&drawn.rgb, &truth.rgb, &mask.inside);
     Ok(Scored { score, sources, blank: mask.share(|i| drawn.blank[i]), ms })
 }
 
@@ -326,7 +309,6 @@ fn seen(camera: &Camera, fit: Fit) -> Camera {
 }
 
 impl Results {
-    /// Formats the results as a table for people.
     pub fn table(&self) -> String {
         use std::fmt::Write;
         let mut out = format!("{} views", self.views);
@@ -334,8 +316,7 @@ impl Results {
             let _ = write!(out, ", {} left out: more than {:.0} % blank in some way", self.blank, 100.0 * BLANK);
         }
         let _ = writeln!(out, "; depth: {}", if self.depth == Depth::Own { "estimated" } else { "true" });
-        let head =
-            row(["way", "PSNR", "borders", "uncovered", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"]);
+        let head = ["way", "PSNR", "borders", "uncovered", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"];
         let line = |r: &Row| {
             let s = r.score;
             let [psnr, borders, uncovered] = [s.psnr, s.borders, s.uncovered].map(|v| format!("{v:.2}"));
@@ -345,7 +326,7 @@ impl Results {
             let [kb, texels, planes] = [format!("{:.1}", r.bytes / 1e3), format!("{:.2}", r.texels_m), format!("{:.2}", r.planes)];
             vec![r.way.into(), psnr, borders, uncovered, ssim, l1, flip, lpips, make, draw, kb, texels, planes]
         };
-        out += &table(1, &std::iter::once(head).chain(self.rows.iter().map(line)).collect::<Vec<_>>());
+        out += &table(1, &head, self.rows.iter().map(line));
         out += &error_sources::table(self.depth, &self.rows);
         if let Some(d) = self.depth_score {
             let _ = write!(

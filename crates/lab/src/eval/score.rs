@@ -18,7 +18,6 @@ pub struct Score {
     pub ssim: f64,
     /// Mean absolute difference of values in 0 to 1.
     pub l1: f64,
-    /// FLIP.
     pub flip: f64,
     /// LPIPS of the cropped view; `None` without a network for it.
     pub lpips: Option<f64>,
@@ -34,7 +33,6 @@ const BESIDE: usize = 3;
 const BORDER: f64 = 0.03;
 
 impl Score {
-    /// The mean over views.
     pub(super) fn mean(all: &[Self]) -> Self {
         let n = all.len().max(1) as f64;
         let of = |f: fn(&Self) -> f64| all.iter().map(f).sum::<f64>() / n;
@@ -47,7 +45,7 @@ impl Score {
 /// The part of a view that is scored.
 pub(super) struct Mask {
     pub width: usize,
-    inside: Vec<bool>,
+    pub inside: Vec<bool>,
     /// Scored pixels beside a depth border, and scored pixels that the photo does not show.
     beside: Vec<bool>,
     uncovered: Vec<bool>,
@@ -87,11 +85,6 @@ impl Mask {
         Self { width, beside: among(&|i| near[i]), uncovered: among(&|i| !covered[i]), inside }
     }
 
-    /// Whether each pixel is scored.
-    pub fn inside(&self) -> &[bool] {
-        &self.inside
-    }
-
     /// Share of the scored pixels for which `blank` is true.
     pub fn share(&self, blank: impl Fn(usize) -> bool) -> f64 {
         let all = self.inside.iter().filter(|b| **b).count();
@@ -102,7 +95,6 @@ impl Mask {
         mean(map, &self.inside).unwrap_or(0.0)
     }
 
-    /// Scores `view` against `truth`.
     pub fn score(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Score {
         let difference = |power: i32, of: &[bool]| {
             let pixels = view.iter().zip(truth);
@@ -205,7 +197,6 @@ impl DepthScore {
         Self { abs_rel: relative / n, rmse, within_125: near / n, spearman: correlation(&ranks[0], &ranks[1]) }
     }
 
-    /// The mean over photos.
     pub(super) fn mean(all: &[Self]) -> Option<Self> {
         let of = |f: fn(&Self) -> f64| all.iter().map(f).sum::<f64>() / all.len() as f64;
         let mean =

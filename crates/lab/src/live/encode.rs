@@ -42,9 +42,6 @@ impl H264 {
     }
 
     /// Encodes a frame; returns its bytes, and whether it is a key frame.
-    ///
-    /// # Errors
-    /// [`LabError::Encode`].
     pub fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LabError> {
         let key = self.frames.is_multiple_of(Self::GOP);
         self.frames += 1;

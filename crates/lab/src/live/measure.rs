@@ -154,10 +154,8 @@ fn keep_pictures(
     (reader, m, view): (&Reader, Moment, &Photo),
 ) -> Result<(), LabError> {
     let keep = |what: &str, picture: &Photo| {
-        files::write(
-            &folder.join(format!("{}-{n:04}-{what}.png", kind.slug())),
-            &png(picture.width, picture.height, picture.rgb.as_flattened(), ExtendedColorType::Rgb8),
-        )
+        let path = folder.join(format!("{}-{n:04}-{what}.png", kind.slug()));
+        files::write(&path, &png(picture.width, picture.height, picture.rgb.as_flattened(), ExtendedColorType::Rgb8))
     };
     let Shot { side_view, .. } = m.shot;
     for (what, picture) in [("frame", m.photo), ("beside", view), ("truth", side_view)] {

@@ -11,6 +11,7 @@ mod tiles;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::ValueEnum;
 use serde::{Serialize, Serializer};
 
 use crate::LabError;
@@ -73,18 +74,12 @@ pub struct Flags {
     pub files: Option<PathBuf>,
 }
 
-/// Parses a number that is not negative.
-///
-/// # Errors
-/// What is expected.
 pub fn not_negative(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| v.is_finite() && *v >= 0.0).ok_or_else(|| "expected a number, 0 or more".into())
 }
 
-/// Settings of a measurement.
 #[derive(Clone)]
 pub struct Settings {
-    /// What is measured.
     pub flags: Flags,
     /// Size of the frames, bit rate and budget.
     pub at: OperatingPoint,
@@ -97,7 +92,6 @@ pub struct Settings {
 /// Means over the frames of a sequence. Bytes and milliseconds are per frame.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Row {
-    /// Name of the sequence.
     pub sequence: &'static str,
     /// Each figure by its name, which contains the unit.
     #[serde(serialize_with = "by_name")]
@@ -118,7 +112,7 @@ impl Row {
 /// Measures all sequences, and calls `progress` with the name of each; returns a row for each, and those that were skipped with the reason.
 fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<String>), LabError> {
     let (mut rows, mut skipped) = (Vec::new(), Vec::new());
-    for kind in Kind::ALL {
+    for &kind in Kind::value_variants() {
         if settings.flags.only.is_some_and(|only| only != kind) {
             continue;
         }
@@ -134,18 +128,14 @@ fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<St
     Ok((rows, skipped))
 }
 
-/// Settings of the room for a sequence.
 fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64) -> Room {
-    let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
+    let (k, width) = (sequence.camera.intrinsics, 2.0 * sequence.camera.intrinsics.cx);
     let Flags { parallax, max_error, cooldown_ms, .. } = settings.flags;
     let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error, view_box: VIEW_BOX, ..Options::default() };
     Room { options, parallax, cooldown: Duration::from_millis(cooldown_ms.into()), frame_ms }
 }
 
 /// Learns the initial state of the chunk coders (`crates/core/src/live/coder_prior.in`) from the chunks of rendered sequences.
-///
-/// # Errors
-/// [`LabError`].
 pub fn learn(settings: &Settings, progress: &dyn Fn(&str)) -> Result<String, LabError> {
     let mut learning = Learning::default();
     for lesson in 0..LESSONS.0 {

@@ -1,11 +1,12 @@
 //! Rendered sequences with exact disparity and exact side views.
 
-use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
+use clap::ValueEnum;
+use tmpi_core::{Camera, DisparityMap, Photo, Pose};
 
 use crate::scenes::{Picture, Scene};
 
 /// Kind of a sequence.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Kind {
     /// A still camera, and a person-sized object that moves to and fro.
     Still,
@@ -18,9 +19,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All kinds.
-    pub const ALL: [Self; 4] = [Self::Still, Self::Measured, Self::Moving, Self::Cut];
-
     /// Name in results.
     pub const fn name(self) -> &'static str {
         match self {
@@ -31,14 +29,9 @@ impl Kind {
         }
     }
 
-    /// Name in file names.
-    pub const fn slug(self) -> &'static str {
-        match self {
-            Self::Still => "still",
-            Self::Measured => "measured",
-            Self::Moving => "moving",
-            Self::Cut => "cut",
-        }
+    /// Name in file names and on the command line.
+    pub fn slug(self) -> String {
+        self.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned())
     }
 }
 
@@ -70,7 +63,6 @@ pub struct Shot {
     pub uncovered: Vec<bool>,
 }
 
-/// A sequence of frames.
 #[derive(Debug)]
 pub struct Sequence {
     kind: Kind,
@@ -78,9 +70,8 @@ pub struct Sequence {
     scenes: [Scene; 2],
     /// Each scene without the object, from the camera and from the side.
     still: Vec<[Picture; 2]>,
-    /// Texture of the object.
     paint: Photo,
-    camera: Camera,
+    pub camera: Camera,
     /// Offset of the side view to the right, in units of the nearest distance.
     side_offset: f64,
 }
@@ -108,11 +99,6 @@ impl Sequence {
         picture.photo
     }
 
-    /// Intrinsics of the camera.
-    pub const fn intrinsics(&self) -> Intrinsics {
-        self.camera.intrinsics
-    }
-
     /// Pose of the side view, relative to the frame's camera.
     pub fn side_pose(&self) -> Pose {
         Pose::at(self.side_offset, 0.0, 0.0)
@@ -133,7 +119,6 @@ impl Sequence {
         if self.kind == Kind::Moving { 0.15 * (f64::from(n) / PERIOD * std::f64::consts::TAU).sin() } else { 0.0 }
     }
 
-    /// Renders frame `n`.
     pub fn shot(&self, n: u32) -> Shot {
         let moved;
         let [here, side] = if self.kind == Kind::Moving {

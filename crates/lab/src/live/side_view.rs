@@ -17,6 +17,7 @@ use crate::bench::{Figures, compared};
 type Colours = Vec<Vec<Vec<[u8; 3]>>>;
 
 /// A reader that remembers colours, like a page.
+#[derive(Default)]
 pub(super) struct Reader {
     pub model: Option<TileState>,
     layers: Layers,
@@ -55,11 +56,9 @@ pub(super) struct Moment<'a> {
     /// The decoded frame.
     pub photo: &'a Photo,
     pub shot: &'a Shot,
-    /// Pose of the side view.
     pub side_pose: Pose,
     /// Whether the previous frame was shown too.
     pub follows: bool,
-    /// Tiles that were sent.
     pub sent: &'a [u32],
     /// Whether the reader's memory is measured by now.
     pub settled: bool,
@@ -68,22 +67,10 @@ pub(super) struct Moment<'a> {
 impl Reader {
     /// A reader whose labels follow motion for up to `follow` frames.
     pub fn new(follow: u32) -> Self {
-        Self {
-            model: None,
-            layers: Layers::with_memory().with_motion_frames(follow),
-            in_flight: VecDeque::new(),
-            changed: Vec::new(),
-            renderer: Cpu::default(),
-            last: None,
-            inpainted: Mean::default(),
-            remembered: Mean::default(),
-        }
+        Self { layers: Layers::with_memory().with_motion_frames(follow), ..Self::default() }
     }
 
     /// Queues sent tiles, and decodes those sent `late` frames ago. Returns the indices of new tiles and their frame.
-    ///
-    /// # Errors
-    /// [`LiveError`] if they cannot be decoded.
     pub fn receive(&mut self, message: schema::Geometry, late: u32) -> Result<(Vec<u32>, Option<u64>), LiveError> {
         self.in_flight.push_back(message);
         let due = if self.in_flight.len() > late as usize { self.in_flight.pop_front() } else { None };
@@ -102,9 +89,6 @@ impl Reader {
     }
 
     /// Renders the side view, and compares it with the truth and with the previous frame if that was shown. Returns the view.
-    ///
-    /// # Errors
-    /// [`RenderError`] from the renderer.
     pub fn show(&mut self, m: Moment, f: &mut Figures) -> Result<Photo, RenderError> {
         let shown = self.shown(m.geometry).clone();
         let (g, m) = (&shown, Moment { geometry: &shown, ..m });
@@ -147,9 +131,6 @@ impl Reader {
     }
 
     /// Renders the frame shown last from another pose.
-    ///
-    /// # Errors
-    /// [`RenderError`] from the renderer.
     pub fn view(&self, m: Moment, pose: Pose) -> Result<Photo, RenderError> {
         self.draw(m, &Arc::new(self.layers.scene(self.shown(m.geometry))), pose)
     }

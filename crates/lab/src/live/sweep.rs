@@ -7,10 +7,8 @@ use crate::LabError;
 use crate::bench::{Axis, Curve, Experiment, Machine, Point as Plotted, Results};
 use crate::table::table;
 
-/// Settings of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct OperatingPoint {
-    /// Size of the frames.
     pub size: (u32, u32),
     /// H.264 bits per second.
     pub bitrate: u32,
@@ -21,10 +19,8 @@ pub struct OperatingPoint {
 /// A sequence at one operating point.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
-    /// The operating point.
     #[serde(flatten)]
     pub at: OperatingPoint,
-    /// Results.
     #[serde(flatten)]
     pub row: Row,
 }
@@ -32,9 +28,7 @@ pub struct Point {
 /// All sequences at all operating points.
 #[derive(Clone, Debug, Serialize)]
 pub struct Points {
-    /// The machine.
     pub machine: Machine,
-    /// Frames per sequence.
     pub frames: u32,
     /// How far to the right of the camera the side view is, in units of the nearest distance: the border of a room's view box.
     pub side_view: f64,
@@ -42,14 +36,10 @@ pub struct Points {
     pub points: Vec<Point>,
     /// Skipped sequences, each with the reason.
     pub skipped: Vec<String>,
-    /// Total time in seconds.
     pub seconds: f64,
 }
 
 /// Measures all sequences at each point, and calls `progress` for each.
-///
-/// # Errors
-/// [`LabError`].
 pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&str)) -> Result<Points, LabError> {
     let start = std::time::Instant::now();
     let (mut points, mut skipped) = (Vec::new(), Vec::new());
@@ -104,29 +94,27 @@ impl Points {
                 names.push(name);
             }
         }
-        let line = |name: &str, of: &dyn Fn(&Row) -> String| {
-            std::iter::once(name.to_owned()).chain(self.points.iter().map(|p| of(&p.row))).collect::<Vec<_>>()
+        let head: Vec<&str> = std::iter::once("").chain(self.points.iter().map(|p| p.row.sequence)).collect();
+        let line = |name: &str| {
+            let figure = |p: &Point| p.row.get(name).map_or(String::new(), |v| format!("{v:.3}"));
+            std::iter::once(name.to_owned()).chain(self.points.iter().map(figure)).collect::<Vec<_>>()
         };
-        let mut lines = vec![line("", &|row| row.sequence.into())];
-        lines.extend(names.into_iter().map(|name| line(name, &|row| row.get(name).map_or(String::new(), |v| format!("{v:.3}")))));
-        self.points.first().map_or(String::new(), |p| format!("{}, {} frames; {}\n", p.at, self.frames, self.place())) + &table(1, &lines)
+        self.points.first().map_or(String::new(), |p| format!("{}, {} frames; {}\n", p.at, self.frames, self.place()))
+            + &table(1, &head, names.into_iter().map(line))
     }
 
     fn lines(&self) -> String {
-        let head =
-            ["sequence", "size", "target", "budget ms"].into_iter().chain(FIGURES.map(|f| f.0)).map(String::from).collect::<Vec<_>>();
+        let head: Vec<&str> = ["sequence", "size", "target", "budget ms"].into_iter().chain(FIGURES.map(|f| f.0)).collect();
         let line = |Point { at, row }: &Point| {
             let budget = if at.budget_ms > 0.0 { at.budget_ms.to_string() } else { "none".into() };
             let own = [row.sequence.to_owned(), format!("{}x{}", at.size.0, at.size.1), (at.bitrate / 1000).to_string(), budget];
             let figures = FIGURES.map(|(_, name, digits)| row.get(name).map_or(String::new(), |v| format!("{v:.digits$}")));
             own.into_iter().chain(figures).collect::<Vec<_>>()
         };
-        let lines: Vec<Vec<String>> = std::iter::once(head).chain(self.points.iter().map(line)).collect();
         format!("{} frames per sequence; PSNR in dB, SSIM and flicker (levels) of the side view; {}\n", self.frames, self.place())
-            + &table(1, &lines)
+            + &table(1, &head, self.points.iter().map(line))
     }
 
-    /// Where the side view is.
     fn place(&self) -> String {
         format!("side view {} to the right, the border of a room's view box", self.side_view)
     }
@@ -157,7 +145,6 @@ impl Points {
         })
     }
 
-    /// A curve for each sequence and size.
     fn curves(&self, x: &str) -> Vec<Curve> {
         let mut curves: Vec<Curve> = Vec::new();
         for Point { at, row } in &self.points {
@@ -181,8 +168,6 @@ impl Points {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, reason = "test")]
-
     use clap::Parser as _;
 
     use super::super::Flags;

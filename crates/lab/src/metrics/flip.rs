@@ -6,6 +6,8 @@
 
 use std::f64::consts::PI;
 
+use super::filter::{along, down};
+
 /// Pixels per degree of a screen 0.7 m and 3840 pixels wide, seen from 0.7 m, as in the paper.
 pub const PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_26;
 
@@ -70,7 +72,6 @@ fn redistributed(error: f64, most: f64) -> f64 {
     if error < knee { PT / knee * error } else { PT + (error - knee) / (most - knee) * (1.0 - PT) }
 }
 
-/// A picture as the eye perceives it.
 struct Perceived {
     /// CIELAB after the eye's filters, adjusted by Hunt's effect.
     lab: Vec<[f64; 3]>,
@@ -108,7 +109,7 @@ fn filter_channel(channel: &[f64], width: usize, gaussians: &[(f64, f64)]) -> Ve
     for (i, kernel) in kernels.iter().enumerate() {
         let kernel = scaled(kernel, 1.0 / kernel.iter().sum::<f64>());
         let share = weight(i) / total;
-        let blurred = down(&along(channel, width, &kernel), width, &kernel);
+        let blurred = down(&along(channel, width, &kernel, repeated), width, &kernel, repeated);
         out.iter_mut().zip(blurred).for_each(|(sum, v)| *sum += share * v);
     }
     out
@@ -124,9 +125,9 @@ fn features(light: &[f64], width: usize) -> [Vec<f64>; 2] {
     let edge = balanced(places.iter().zip(&bell).map(|(x, g)| -x * g).collect());
     let point = balanced(places.iter().zip(&bell).map(|(x, g)| (x * x / (sigma * sigma) - 1.0) * g).collect());
     // perpendicular to the detector's direction, blur with the Gaussian
-    let (blurred_along, blurred_down) = (along(light, width, &blur), down(light, width, &blur));
+    let (blurred_along, blurred_down) = (along(light, width, &blur, repeated), down(light, width, &blur, repeated));
     [edge, point].map(|kernel| {
-        let (x, y) = (along(&blurred_down, width, &kernel), down(&blurred_along, width, &kernel));
+        let (x, y) = (along(&blurred_down, width, &kernel, repeated), down(&blurred_along, width, &kernel, repeated));
         x.iter().zip(&y).map(|(x, y)| x.hypot(*y)).collect()
     })
 }
@@ -145,31 +146,9 @@ fn balanced(mut kernel: Vec<f64>) -> Vec<f64> {
     kernel
 }
 
-/// Correlates rows with `kernel`; repeats the border values.
-fn along(values: &[f64], width: usize, kernel: &[f64]) -> Vec<f64> {
-    let radius = kernel.len() / 2;
-    let mut padded = vec![0.0; width + 2 * radius];
-    let mut out = Vec::with_capacity(values.len());
-    for row in values.chunks_exact(width) {
-        padded[..radius].fill(row[0]);
-        padded[radius..radius + width].copy_from_slice(row);
-        padded[radius + width..].fill(row[width - 1]);
-        out.extend(padded.windows(kernel.len()).map(|w| w.iter().zip(kernel).map(|(v, k)| v * k).sum::<f64>()));
-    }
-    out
-}
-
-/// Correlates columns with `kernel`; repeats the border values.
-fn down(values: &[f64], width: usize, kernel: &[f64]) -> Vec<f64> {
-    let (rows, radius) = (values.len() / width, kernel.len() / 2);
-    let mut out = vec![0.0; values.len()];
-    for (y, out) in out.chunks_exact_mut(width).enumerate() {
-        for (i, k) in kernel.iter().enumerate() {
-            let from = (y + i).saturating_sub(radius).min(rows - 1) * width;
-            out.iter_mut().zip(&values[from..from + width]).for_each(|(sum, v)| *sum += k * v);
-        }
-    }
-    out
+/// Beyond a border, its own values are repeated.
+fn repeated(at: isize, n: usize) -> usize {
+    at.max(0).unsigned_abs().min(n.saturating_sub(1))
 }
 
 /// Linear value of an sRGB level.

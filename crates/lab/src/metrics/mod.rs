@@ -1,5 +1,6 @@
 //! Picture metrics.
 
+mod filter;
 mod flip;
 mod ssim;
 

@@ -67,10 +67,7 @@ fn toy(b: &mut Build, at: V3, s: f64) {
             b.put(t, Frame::yaw(at - DOWN * (s * 0.4), b.rng.range(-0.6, 0.6)), Shape::Ellipsoid(half));
         }
         8 => b.vessel(at, s * 4.0),
-        _ => {
-            let o = CutoutShape::subject(b.rng);
-            b.cutout(at, s * 1.2, -AHEAD, o, 0.9);
-        }
+        _ => b.cutout(at, s * 1.2, -AHEAD, CutoutShape::subject(b.rng), 0.9),
     }
 }
 
@@ -96,8 +93,7 @@ pub(super) fn closeup(b: &mut Build) {
     }
     if b.rng.chance(0.35) {
         // a hand at work
-        let (g, c) = (b.w.group(), colour(b.rng));
-        let t = Texture::plain(b.rng, c);
+        let (g, t) = (b.w.group(), Texture::plain(b.rng, colour(b.rng)));
         let hand = v3(b.rng.range(-0.5, 0.5) * h, -h * b.rng.range(0.1, 0.35), b.rng.range(-0.3, 0.5) * h);
         let out = v3(b.rng.sign() * b.rng.range(0.6, 1.2), -0.4, b.rng.range(-0.3, 0.6)) * h;
         b.w.bar(g, hand, hand + out, (0.09 * h, 0.14 * h), t.clone());
@@ -212,7 +208,7 @@ pub(super) fn foliage(b: &mut Build) {
 /// A plant of size `s` at `root`: stems with flat leaves in all directions, and flowers at some tips.
 fn plant(b: &mut Build, root: V3, s: f64) {
     let g = b.w.group();
-    let green = |b: &Build| hsv(b.rng.range(0.17, 0.38), b.rng.range(0.3, 0.85), b.rng.range(0.2, 0.75)).map(|c| c.powf(2.2));
+    let green = |b: &Build| hsv(b.rng.range(0.17, 0.38), b.rng.range(0.3, 0.85), b.rng.range(0.2, 0.75));
     let leaf = green(b);
     let stem = Texture::plain(b.rng, leaf * 0.6);
     let bloom = b.rng.chance(0.35).then(|| colour(b.rng));

@@ -7,7 +7,6 @@ use super::shape::Shape;
 use super::texture::Texture;
 use super::world::Light;
 
-/// Name of the family.
 pub(super) const NAME: &str = "inside";
 /// Fraction of scenes, if there are furnished models.
 const SHARE: f64 = 0.12;
@@ -16,7 +15,7 @@ const CLEARANCE: f64 = 0.5;
 
 /// Sometimes builds such a scene; returns whether it did.
 pub(super) fn inside(b: &mut Build) -> bool {
-    let Some(model) = b.rng.models().furnished(b.rng, SHARE) else { return false };
+    let Some(model) = b.rng.assets.models.furnished(b.rng, SHARE) else { return false };
     let [wide, tall, deep] = model.size();
     for part in model.parts.iter() {
         let (g, surface) = (b.w.group(), Texture::plain(b.rng, v3(1.0, 1.0, 1.0)).glossy(0.05));

@@ -45,8 +45,7 @@ pub(super) fn room(b: &mut Build) {
         2..=4 => b.rng.range(-50.0, -15.0),
         _ => b.rng.range(-15.0, 8.0),
     };
-    let roll = b.rng.range(-4.0, 4.0);
-    look(b, eye, yaw, pitch, roll);
+    look(b, eye, yaw, pitch, b.rng.range(-4.0, 4.0));
     for _ in 0..b.rng.int(5, 18) {
         let along = if b.rng.chance(0.7) { b.rng.range(-0.7, 0.7) + yaw.to_radians() } else { b.rng.range(-3.1, 3.1) };
         let far = b.rng.log_range(1.1, 7.0);
@@ -85,8 +84,7 @@ fn decorate(b: &mut Build, middle: V3, right: V3, outward: V3, half: f64, h: f64
             b.w.card(g, at(y, 0.03), right, DOWN, (w + 0.04, t + 0.04), CutoutShape::Window(0.08), rim);
         }
         3 => {
-            let scale = b.rng.range(0.5, 2.0);
-            let sky = Texture::of(b.rng, Pattern::Noise, scale, [v3(0.8, 0.9, 1.0), v3(0.5, 0.7, 0.6), v3(0.3, 0.4, 0.3)])
+            let sky = Texture::of(b.rng, Pattern::Noise, b.rng.range(0.5, 2.0), [v3(0.8, 0.9, 1.0), v3(0.5, 0.7, 0.6), v3(0.3, 0.4, 0.3)])
                 .glowing(b.rng.range(0.4, 2.5));
             let (w, t) = (b.rng.range(0.3, 0.9), b.rng.range(0.4, 0.7));
             b.w.card(g, at(1.5, 0.01), right, DOWN, (w, t), CutoutShape::Full, sky);
@@ -104,10 +102,8 @@ fn decorate(b: &mut Build, middle: V3, right: V3, outward: V3, half: f64, h: f64
                 }
             }
         }
-        4 => {
-            let door = Texture::any(b.rng, 0.5);
-            b.w.card(g, at(1.0, 0.02), right, DOWN, (0.42, 1.0), CutoutShape::Full, door);
-        }
+        // a door
+        4 => b.w.card(g, at(1.0, 0.02), right, DOWN, (0.42, 1.0), CutoutShape::Full, Texture::any(b.rng, 0.5)),
         _ => {
             let t = Texture::any(b.rng, 0.4);
             let half = v3(b.rng.range(0.2, 0.9), b.rng.range(0.2, 0.5), b.rng.range(0.08, 0.2));
@@ -137,8 +133,7 @@ fn furnish(b: &mut Build, p: V3, h: f64, hx: f64, hz: f64) {
         // a bed or a low bench with a blanket's edge
         8 => b.block(Texture::any(b.rng, 0.5), p, v3(0.8, 0.28, 1.0), yaw),
         9 => {
-            let g = b.w.group();
-            let t = Texture::any(b.rng, 0.3);
+            let (g, t) = (b.w.group(), Texture::any(b.rng, 0.3));
             let q = v3(p.x.clamp(-hx + 1.0, hx - 1.0), -0.004, p.z.clamp(-hz + 1.0, hz - 1.0));
             b.w.card(g, q, RIGHT, AHEAD, (0.9, 0.9), if b.rng.chance(0.5) { CutoutShape::Disc } else { CutoutShape::Full }, t);
         }
@@ -210,11 +205,7 @@ pub(super) fn shelf(b: &mut Build) {
                     let f = if b.rng.chance(0.3) { Frame::turned(at, &m) } else { Frame::yaw(at, b.rng.range(-0.8, 0.8)) };
                     b.put(t, f, Shape::Cuboid(half));
                 }
-                _ => {
-                    let s = d * b.rng.range(0.1, 0.35);
-                    let o = CutoutShape::subject(b.rng);
-                    b.cutout(at, s, -AHEAD, o, 0.8);
-                }
+                _ => b.cutout(at, d * b.rng.range(0.1, 0.35), -AHEAD, CutoutShape::subject(b.rng), 0.8),
             }
         }
     }
@@ -242,17 +233,7 @@ pub(super) fn indoor_light(b: &mut Build, at: V3) {
 /// A laid table, usually seen steeply from above.
 pub(super) fn table(b: &mut Build) {
     let h = b.rng.log_range(0.3, 1.2);
-    let pattern = b.rng.pick(&[
-        Pattern::Planks,
-        Pattern::Plain,
-        Pattern::Noise,
-        Pattern::Plaid,
-        Pattern::Checks,
-        Pattern::Marble,
-        Pattern::Tiles,
-        Pattern::Stripes,
-        Pattern::Speckle,
-    ]);
+    let pattern = b.rng.pick(&Pattern::TABLETOPS);
     let top = Texture::new(b.rng, pattern, b.rng.log_range(0.03, 0.3));
     let (x, z) = (b.rng.range(0.4, 1.6), b.rng.range(0.3, 1.2));
     b.put(top, Frame::yaw(v3(0.0, 0.03, 0.0), b.rng.range(-3.1, 3.1)), Shape::Cuboid(v3(x, 0.03, z)));
@@ -280,9 +261,7 @@ pub(super) fn table(b: &mut Build) {
             }
             _ => {
                 // an arm that reaches in from the frame
-                let g = b.w.group();
-                let c = colour(b.rng);
-                let t = Texture::plain(b.rng, c);
+                let (g, t) = (b.w.group(), Texture::plain(b.rng, colour(b.rng)));
                 let a = b.rng.range(-3.1, 3.1);
                 let out = v3(a.sin(), -0.25, a.cos() - 0.4).unit();
                 let hand = at - DOWN * 0.06;
@@ -305,18 +284,8 @@ pub(super) fn figures(b: &mut Build) {
     look(b, V3::default(), b.rng.range(-10.0, 10.0), b.rng.range(-14.0, 14.0), b.rng.range(-6.0, 6.0));
     let far = b.rng.log_range(2.5, 30.0);
     let (g, wide) = (b.w.group(), far * 3.0);
-    let pattern = b.rng.pick(&[
-        Pattern::Plain,
-        Pattern::Noise,
-        Pattern::Gradient,
-        Pattern::Foliage,
-        Pattern::Bricks,
-        Pattern::Windows,
-        Pattern::Print,
-        Pattern::Stripes,
-    ]);
-    let scale = far * b.rng.log_range(0.05, 1.0);
-    let back = Texture::new(b.rng, pattern, scale);
+    let pattern = b.rng.pick(&Pattern::BACKDROPS);
+    let back = Texture::new(b.rng, pattern, far * b.rng.log_range(0.05, 1.0));
     // at least as wide as the view at that distance
     let back = b.rng.backdrop().map_or(back, |picture| {
         let view = 2.0 * far * (b.w.fov.to_radians() * 0.5).tan();
@@ -344,19 +313,10 @@ pub(super) fn figures(b: &mut Build) {
         let y = if ground { 1.0 } else { b.rng.range(-0.2, 0.8) * z };
         match b.rng.int(0, 5) {
             0 | 1 => b.person(v3(x, y.max(size * 0.4), z), size * 1.4, std::f64::consts::PI + b.rng.range(-0.9, 0.9)),
-            2 => {
-                let o = CutoutShape::portrait(b.rng);
-                b.cutout(v3(x, y.max(size * 0.5), z), size, -AHEAD, o, 0.9);
-            }
-            3 => {
-                let o = CutoutShape::subject(b.rng);
-                b.cutout(v3(x, y, z), size, -AHEAD, o, 0.7);
-            }
+            2 => b.cutout(v3(x, y.max(size * 0.5), z), size, -AHEAD, CutoutShape::portrait(b.rng), 0.9),
+            3 => b.cutout(v3(x, y, z), size, -AHEAD, CutoutShape::subject(b.rng), 0.7),
             4 => body(b, v3(x, y - size * 0.3, z), size * 0.35),
-            _ => {
-                let o = CutoutShape::animal(b.rng);
-                b.cutout(v3(x, y, z), size * 0.8, -AHEAD, o, 1.3);
-            }
+            _ => b.cutout(v3(x, y, z), size * 0.8, -AHEAD, CutoutShape::animal(b.rng), 1.3),
         }
     }
     if b.rng.chance(0.5) {
@@ -370,13 +330,11 @@ pub(super) fn figures(b: &mut Build) {
 
 /// A lump of a few ellipsoids: an animal, a toy, a fruit.
 pub(super) fn body(b: &mut Build, at: V3, s: f64) {
-    let (g, scale) = (b.w.group(), s * b.rng.log_range(0.1, 0.8));
-    let t = Texture::any(b.rng, scale);
+    let (g, t) = (b.w.group(), Texture::any(b.rng, s * b.rng.log_range(0.1, 0.8)));
     for _ in 0..b.rng.int(2, 6) {
         let off = v3(b.rng.range(-0.7, 0.7), b.rng.range(-0.7, 0.7), b.rng.range(-0.3, 0.3)) * s;
         let r = v3(b.rng.range(0.25, 0.8), b.rng.range(0.25, 0.8), b.rng.range(0.2, 0.5)) * s;
-        let m = b.rng.rotation();
-        b.w.add(g, Frame::turned(at + off, &m), Shape::Ellipsoid(r), t.clone());
+        b.w.add(g, Frame::turned(at + off, &b.rng.rotation()), Shape::Ellipsoid(r), t.clone());
     }
 }
 
@@ -398,10 +356,7 @@ pub(super) fn floating(b: &mut Build) {
             0 => b.w.add(g, f, Shape::Cuboid(v), t),
             1 => b.w.add(g, f, Shape::Ellipsoid(v), t),
             2 => b.w.add(g, f, Shape::Cylinder(v.x, v.y * 0.4, v.z), t),
-            3 => {
-                let o = CutoutShape::subject(b.rng);
-                b.w.add(g, f, Shape::Card(s, s, o), t);
-            }
+            3 => b.w.add(g, f, Shape::Card(s, s, CutoutShape::subject(b.rng)), t),
             _ => ring_or_stick(b, at, s),
         }
     }

@@ -4,7 +4,6 @@ use std::cell::Cell;
 use std::ops::{Add, Mul, Neg, Sub};
 
 use super::Assets;
-use super::model::Models;
 use super::photo_texture::Patch;
 use tmpi_core::Mat3;
 
@@ -96,7 +95,7 @@ pub(super) const DOWN: V3 = v3(0.0, 1.0, 0.0);
 pub(super) const AHEAD: V3 = v3(0.0, 0.0, 1.0);
 
 /// Orthonormal frame: origin, and local x, y and z axes in world coordinates.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Frame {
     pub origin: V3,
     pub axes: [V3; 3],
@@ -148,7 +147,7 @@ impl Frame {
 #[derive(Debug)]
 pub(super) struct Rng {
     state: Cell<u64>,
-    assets: Assets,
+    pub assets: Assets,
 }
 
 impl Rng {
@@ -173,10 +172,6 @@ impl Rng {
     pub fn backdrop(&self) -> Option<Patch> {
         let of = &self.assets.pictures.0;
         (!of.is_empty() && self.chance(0.5)).then(|| Patch::whole(&of[(self.next() % of.len() as u64) as usize]))
-    }
-
-    pub const fn models(&self) -> &Models {
-        &self.assets.models
     }
 
     pub fn next(&self) -> u64 {

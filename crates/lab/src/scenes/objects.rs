@@ -36,7 +36,7 @@ impl Build<'_> {
     /// Sometimes places a model of similar size instead of an object of `size` metres at `at`, if there are models. Returns whether it did;
     /// otherwise the caller builds the object.
     pub fn place_model(&mut self, at: V3, size: f64, yaw: f64) -> bool {
-        let Some(model) = self.rng.models().similar(self.rng, size) else { return false };
+        let Some(model) = self.rng.assets.models.similar(self.rng, size) else { return false };
         let (g, turned) = (self.w.group(), yaw + f64::from(self.rng.int(0, 3)) * std::f64::consts::FRAC_PI_2);
         let (scale, surface) = (self.rng.range(0.85, 1.15), Texture::plain(self.rng, v3(1.0, 1.0, 1.0)).glossy(0.1));
         for part in model.parts.iter() {
@@ -45,20 +45,15 @@ impl Build<'_> {
         true
     }
 
-    fn skin(&mut self) -> V3 {
+    fn skin(&self) -> V3 {
         let v = self.rng.range(0.3, 0.95);
         let s = self.rng.range(0.25, 0.6);
-        hsv(self.rng.range(0.02, 0.09), s, v).map(|c| c.powf(2.2))
+        hsv(self.rng.range(0.02, 0.09), s, v)
     }
 
-    fn cloth(&mut self) -> Texture {
+    fn cloth(&self) -> Texture {
         let scale = self.rng.log_range(0.05, 0.3);
-        if self.rng.chance(0.35) {
-            Texture::any(self.rng, scale)
-        } else {
-            let c = colour(self.rng);
-            Texture::plain(self.rng, c)
-        }
+        if self.rng.chance(0.35) { Texture::any(self.rng, scale) } else { Texture::plain(self.rng, colour(self.rng)) }
     }
 
     /// A person made of ellipsoids and bars, with feet at `at`.
@@ -70,9 +65,8 @@ impl Build<'_> {
         let f = Frame::yaw(at, yaw);
         let s = height / 1.75;
         let p = |x: f64, y: f64, z: f64| f.point_out(v3(x * s, -y * s, z * s));
-        let skin_colour = self.skin();
-        let (skin, shirt, legs) = (Texture::plain(self.rng, skin_colour), self.cloth(), self.cloth());
-        let hair_colour = hsv(self.rng.range(0.03, 0.12), self.rng.range(0.1, 0.7), self.rng.range(0.03, 0.5)).map(|c| c.powf(2.2));
+        let (skin, shirt, legs) = (Texture::plain(self.rng, self.skin()), self.cloth(), self.cloth());
+        let hair_colour = hsv(self.rng.range(0.03, 0.12), self.rng.range(0.1, 0.7), self.rng.range(0.03, 0.5));
         let hair = Texture::of(self.rng, Pattern::Noise, 0.05, [hair_colour, hair_colour * 0.5, hair_colour]);
         let broad = self.rng.range(0.85, 1.3);
         let sit = self.rng.chance(0.2);
@@ -105,23 +99,20 @@ impl Build<'_> {
         let yaw = self.rng.range(-0.6, 0.6);
         let (s, c) = yaw.sin_cos();
         let right = v3(toward.z * c - toward.x * s, 0.0, -toward.x * c - toward.z * s).unit();
-        let scale = height * self.rng.log_range(0.05, 0.5);
-        let t = Texture::any(self.rng, scale);
+        let t = Texture::any(self.rng, height * self.rng.log_range(0.05, 0.5));
         self.w.card(g, at - DOWN * (height * 0.5), right, DOWN, (height * 0.5 * aspect, height * 0.5), cutout, t);
     }
 
     pub fn tree(&mut self, at: V3, height: f64) {
         let g = self.w.group();
-        let bark = hsv(self.rng.range(0.04, 0.1), 0.4, self.rng.range(0.15, 0.45)).map(|c| c.powf(2.2));
+        let bark = hsv(self.rng.range(0.04, 0.1), 0.4, self.rng.range(0.15, 0.45));
         let trunk = Texture::of(self.rng, Pattern::Noise, 0.1, [bark, bark * 0.5, bark]);
         let lean = v3(self.rng.range(-0.08, 0.08), -1.0, self.rng.range(-0.08, 0.08));
         let top = at + lean * (height * 0.6);
         let r = height * self.rng.range(0.02, 0.05);
         self.w.bar(g, at, top, (r, r * 0.5), trunk.clone());
-        let hue = self.rng.range(0.16, 0.38);
-        let leaf = hsv(hue, self.rng.range(0.3, 0.8), self.rng.range(0.2, 0.6)).map(|c| c.powf(2.2));
-        let scale = height * self.rng.range(0.04, 0.15);
-        let crown = Texture::of(self.rng, Pattern::Foliage, scale, [leaf, leaf * 0.5, leaf * 0.3]);
+        let leaf = hsv(self.rng.range(0.16, 0.38), self.rng.range(0.3, 0.8), self.rng.range(0.2, 0.6));
+        let crown = Texture::of(self.rng, Pattern::Foliage, height * self.rng.range(0.04, 0.15), [leaf, leaf * 0.5, leaf * 0.3]);
         match self.rng.int(0, 3) {
             0 => {
                 let half = height * self.rng.range(0.3, 0.42);
@@ -249,8 +240,7 @@ impl Build<'_> {
                 }
                 let (w, h) = (self.rng.log_range(0.012, 0.09), gap * self.rng.range(0.5, 0.88) * 0.5);
                 let d = deep * self.rng.range(0.5, 0.95);
-                let scale = self.rng.log_range(0.03, 0.2);
-                let tex = Texture::any(self.rng, scale);
+                let tex = Texture::any(self.rng, self.rng.log_range(0.03, 0.2));
                 let g = self.w.group();
                 self.slab(g, &f, v3(x + w, y - 0.015 - h, -d), v3(w * 0.96, h, d), &tex);
                 x += 2.0 * w;
@@ -263,9 +253,7 @@ impl Build<'_> {
         if self.place_model(at, 0.2 * s, 0.0) {
             return;
         }
-        let g = self.w.group();
-        let scale = self.rng.log_range(0.02, 0.12) * s;
-        let t = Texture::any(self.rng, scale);
+        let (g, t) = (self.w.group(), Texture::any(self.rng, self.rng.log_range(0.02, 0.12) * s));
         let up = |h: f64| at - DOWN * (h * s);
         let cyl = |w: &mut World, mid: f64, half: f64, top: f64, bottom: f64, t: Texture| {
             w.add(g, Frame::at(up(mid)), Shape::Cylinder(half * s, top * s, bottom * s), t);
@@ -273,8 +261,7 @@ impl Build<'_> {
         match self.rng.int(0, 7) {
             0 => {
                 cyl(self.w, 0.05, 0.05, 0.045, 0.035, t.clone());
-                let frame = Frame::yaw(up(0.05) + v3(0.045, 0.0, 0.0) * s, 0.0);
-                self.w.add(g, frame, Shape::Torus(0.028 * s, 0.007 * s), t);
+                self.w.add(g, Frame::yaw(up(0.05) + v3(0.045, 0.0, 0.0) * s, 0.0), Shape::Torus(0.028 * s, 0.007 * s), t);
             }
             1 => {
                 let r = self.rng.range(0.025, 0.05);
@@ -303,8 +290,7 @@ impl Build<'_> {
             }
             _ => {
                 cyl(self.w, 0.06, 0.06, 0.06, 0.045, t);
-                let hue = self.rng.range(0.2, 0.36);
-                let leaf = hsv(hue, 0.7, self.rng.range(0.2, 0.6)).map(|c| c.powf(2.2));
+                let leaf = hsv(self.rng.range(0.2, 0.36), 0.7, self.rng.range(0.2, 0.6));
                 for _ in 0..self.rng.int(4, 12) {
                     let tex = Texture::of(self.rng, Pattern::Noise, 0.05, [leaf, leaf * 0.6, leaf]);
                     let tip = v3(self.rng.range(-0.12, 0.12), -self.rng.range(0.1, 0.3), self.rng.range(-0.12, 0.12)) * s;
@@ -320,8 +306,7 @@ impl Build<'_> {
             return;
         }
         let (f, g) = (Frame::yaw(at, yaw), self.w.group());
-        let c = colour(self.rng);
-        let body = Texture::plain(self.rng, c).glossy(0.5);
+        let body = Texture::plain(self.rng, colour(self.rng)).glossy(0.5);
         let glass = Texture::plain(self.rng, v3(0.02, 0.03, 0.04)).glossy(0.8);
         let long = self.rng.range(1.9, 2.4);
         let tall = if self.rng.chance(0.2) { 1.6 } else { 0.55 };

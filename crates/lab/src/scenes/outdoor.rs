@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::cutout::CutoutShape;
 use super::families::look;
 use super::indoor::ring_or_stick;
-use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, fbm, v3};
+use super::math::{AHEAD, DOWN, Frame, RIGHT, Rng, V3, fbm, v3};
 use super::objects::Build;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour, hsv};
@@ -38,26 +38,16 @@ pub(super) fn daylight(b: &mut Build) {
     }
 }
 
-fn ground_texture(b: &mut Build) -> Texture {
-    let c = match b.rng.int(0, 4) {
-        0 | 1 => hsv(b.rng.range(0.18, 0.33), b.rng.range(0.3, 0.75), b.rng.range(0.2, 0.6)),
-        2 => hsv(b.rng.range(0.05, 0.12), b.rng.range(0.15, 0.5), b.rng.range(0.35, 0.85)),
-        3 => hsv(0.6, b.rng.range(0.0, 0.12), b.rng.range(0.2, 0.95)),
-        _ => hsv(b.rng.range(0.5, 0.62), b.rng.range(0.3, 0.7), b.rng.range(0.3, 0.7)),
-    }
-    .map(|c| c.powf(2.2));
-    let pattern = b.rng.pick(&[
-        Pattern::Speckle,
-        Pattern::Speckle,
-        Pattern::Noise,
-        Pattern::Noise,
-        Pattern::Foliage,
-        Pattern::Tiles,
-        Pattern::Stripes,
-        Pattern::Bricks,
-    ]);
-    let other = if b.rng.chance(0.3) { colour(b.rng) } else { c * b.rng.range(0.5, 0.9) };
-    Texture::of(b.rng, pattern, b.rng.log_range(0.2, 3.0), [c, other, c * 0.6])
+fn ground_texture(rng: &Rng) -> Texture {
+    let c = match rng.int(0, 4) {
+        0 | 1 => hsv(rng.range(0.18, 0.33), rng.range(0.3, 0.75), rng.range(0.2, 0.6)),
+        2 => hsv(rng.range(0.05, 0.12), rng.range(0.15, 0.5), rng.range(0.35, 0.85)),
+        3 => hsv(0.6, rng.range(0.0, 0.12), rng.range(0.2, 0.95)),
+        _ => hsv(rng.range(0.5, 0.62), rng.range(0.3, 0.7), rng.range(0.3, 0.7)),
+    };
+    let pattern = rng.pick(&Pattern::GROUNDS);
+    let other = if rng.chance(0.3) { colour(rng) } else { c * rng.range(0.5, 0.9) };
+    Texture::of(rng, pattern, rng.log_range(0.2, 3.0), [c, other, c * 0.6])
 }
 
 /// A street between facades.
@@ -144,7 +134,7 @@ fn horizon(b: &mut Build, far: f64) {
         }
         2 => {
             for _ in 0..b.rng.int(2, 7) {
-                let (g, t) = (b.w.group(), ground_texture(b));
+                let (g, t) = (b.w.group(), ground_texture(b.rng));
                 let at = v3(b.rng.range(-2.0, 2.0) * far, 0.0, far * b.rng.range(1.2, 3.0));
                 b.w.add(g, Frame::at(at), Shape::Ellipsoid(v3(far, far * b.rng.range(0.1, 0.35), far * 0.4)), t);
             }
@@ -171,8 +161,7 @@ fn horizon(b: &mut Build, far: f64) {
 /// Ground with people, animals and objects.
 pub(super) fn field(b: &mut Build) {
     daylight(b);
-    let (g, ground) = (b.w.group(), ground_texture(b));
-    b.w.add(g, Frame::at(V3::default()), Shape::Plane, ground);
+    b.put(ground_texture(b.rng), Frame::at(V3::default()), Shape::Plane);
     let far = b.rng.log_range(8.0, 80.0);
     horizon(b, far);
     let h = b.rng.log_range(0.4, 7.0);
@@ -225,8 +214,7 @@ pub(super) fn thin(b: &mut Build) {
     let far = d * b.rng.range(2.5, 15.0);
     let ground = b.rng.chance(0.5);
     if ground {
-        let (g, t) = (b.w.group(), ground_texture(b));
-        b.w.add(g, Frame::at(v3(0.0, 1.4, 0.0)), Shape::Plane, t);
+        b.put(ground_texture(b.rng), Frame::at(v3(0.0, 1.4, 0.0)), Shape::Plane);
     }
     if b.rng.chance(0.7) {
         let (g, t) = (b.w.group(), Texture::any(b.rng, far * b.rng.log_range(0.05, 0.5)));
@@ -256,7 +244,7 @@ pub(super) fn thin(b: &mut Build) {
             }
         }
         2 => {
-            let c = hsv(b.rng.range(0.04, 0.1), 0.4, b.rng.range(0.1, 0.5)).map(|c| c.powf(2.2));
+            let c = hsv(b.rng.range(0.04, 0.1), 0.4, b.rng.range(0.1, 0.5));
             for _ in 0..b.rng.int(1, 3) {
                 let bark = Texture::of(b.rng, Pattern::Noise, 0.05, [c, c * 0.5, c]);
                 let g = b.w.group();
@@ -294,7 +282,7 @@ pub(super) fn terrain(b: &mut Build) {
     let z0 = -half * if cloth { 0.5 } else { 0.85 };
     let level = field.at(0.0, z0);
     let field = Arc::new(field);
-    let (g, mut t) = (b.w.group(), if cloth { Texture::any(b.rng, half * 0.1) } else { ground_texture(b) });
+    let (g, mut t) = (b.w.group(), if cloth { Texture::any(b.rng, half * 0.1) } else { ground_texture(b.rng) });
     if !cloth {
         t.scale *= half * 0.03;
     }

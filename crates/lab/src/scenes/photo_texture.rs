@@ -71,7 +71,7 @@ pub(super) struct Patch {
     x: f64,
     y: f64,
     extent: (f64, f64),
-    mean: V3,
+    pub mean: V3,
 }
 
 impl Patch {
@@ -83,7 +83,6 @@ impl Patch {
         Self::of(picture, (x, y), (side, side))
     }
 
-    /// A whole picture.
     pub fn whole(picture: &Arc<Levels>) -> Self {
         let (w, h) = (picture.levels[0].0 as f64, picture.levels[0].1 as f64);
         Self::of(picture, (0.0, 0.0), (w, h))
@@ -94,10 +93,6 @@ impl Patch {
         let sum = (0..64).fold(V3::default(), |s, i| s + patch.at((f64::from(i % 8) + 0.5) / 8.0, (f64::from(i / 8) + 0.5) / 8.0, 0.12));
         patch.mean = sum * (1.0 / 64.0);
         patch
-    }
-
-    pub fn mean(&self) -> V3 {
-        self.mean
     }
 
     /// Its centre, in the coordinates of [`Self::at`].

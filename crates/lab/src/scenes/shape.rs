@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::bvh::Aabb;
 use super::cutout::CutoutShape;
 use super::math::{V3, v3};
 use super::model::Mesh;
@@ -116,8 +117,7 @@ pub(super) fn slab(o: V3, d: V3, h: V3) -> Option<(f64, f64)> {
     (t0 <= t1).then_some((t0, t1))
 }
 
-fn first(ts: [f64; 2], near: f64, far: f64, ok: impl Fn(f64) -> bool) -> Option<f64> {
-    let mut ts = ts;
+fn first(mut ts: [f64; 2], near: f64, far: f64, ok: impl Fn(f64) -> bool) -> Option<f64> {
     if ts[0] > ts[1] {
         ts.swap(0, 1);
     }
@@ -201,7 +201,10 @@ impl Shape {
             Self::Cuboid(h) | Self::Ellipsoid(h) => Some((*h, zero)),
             Self::Cylinder(h, a, b) => Some((v3(a.max(*b), *h, a.max(*b)), zero)),
             Self::Torus(ring, tube) => Some((v3(ring + tube, ring + tube, *tube), zero)),
-            Self::Mesh(m, scale) => Some(((m.high() - m.low()) * (0.5 * scale), (m.high() + m.low()) * (0.5 * scale))),
+            Self::Mesh(m, scale) => {
+                let Aabb { low, high } = m.bounds;
+                Some(((high - low) * (0.5 * scale), (high + low) * (0.5 * scale)))
+            }
             Self::Field(f) => Some((v3(f.half, 0.5 * (f.high - f.low) + 1e-6, f.half), v3(0.0, -0.5 * (f.high + f.low), 0.0))),
         }
     }

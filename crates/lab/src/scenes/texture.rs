@@ -26,6 +26,12 @@ pub(super) enum Pattern {
 impl Pattern {
     pub const STRONG: [Self; 9] =
         [Self::Stripes, Self::Checks, Self::Plaid, Self::Dots, Self::Print, Self::Text, Self::Marble, Self::Tiles, Self::Planks];
+    pub const TABLETOPS: [Self; 9] =
+        [Self::Planks, Self::Plain, Self::Noise, Self::Plaid, Self::Checks, Self::Marble, Self::Tiles, Self::Stripes, Self::Speckle];
+    pub const BACKDROPS: [Self; 8] =
+        [Self::Plain, Self::Noise, Self::Gradient, Self::Foliage, Self::Bricks, Self::Windows, Self::Print, Self::Stripes];
+    pub const GROUNDS: [Self; 8] =
+        [Self::Speckle, Self::Speckle, Self::Noise, Self::Noise, Self::Foliage, Self::Tiles, Self::Stripes, Self::Bricks];
     pub const QUIET: [Self; 6] = [Self::Plain, Self::Plain, Self::Noise, Self::Noise, Self::Speckle, Self::Gradient];
 }
 
@@ -64,15 +70,16 @@ pub(super) fn colour(rng: &Rng) -> V3 {
         7 => (rng.range(0.95, 1.03), rng.range(0.5, 0.95), rng.range(0.2, 0.85)),     // red
         _ => (rng.unit(), rng.range(0.1, 0.8), rng.range(0.1, 0.95)),
     };
-    hsv(h, s, v).map(|c| c.powf(2.2))
+    hsv(h, s, v)
 }
 
+/// Linear RGB of hue, saturation and value.
 pub(super) fn hsv(h: f64, s: f64, v: f64) -> V3 {
     let f = |n: f64| {
         let k = (n + h * 6.0).rem_euclid(6.0);
         v - v * s * k.min(4.0 - k).clamp(0.0, 1.0)
     };
-    v3(f(5.0), f(3.0), f(1.0))
+    v3(f(5.0), f(3.0), f(1.0)).map(|c| c.powf(2.2))
 }
 
 impl Texture {
@@ -142,7 +149,7 @@ impl Texture {
         let w = width / self.scale;
         if let Some((patch, hue)) = &self.patch {
             let c = patch.at(u / PERIODS, v / PERIODS, w / PERIODS);
-            let m = patch.mean();
+            let m = patch.mean;
             let bright = c.dot(LUMA) / m.dot(LUMA).max(0.02);
             let own = self.colours[0] * bright.min(3.0);
             return own.lerp(c, *hue);
@@ -266,7 +273,7 @@ impl Texture {
         let c = if h < 0.7 {
             self.colours[(h * 4.28) as usize % 3]
         } else {
-            hsv(hash3(a, b, 51, self.seed), 0.7 * hash3(a, b, 52, self.seed), hash3(a, b, 53, self.seed)).map(|c| c.powf(2.2))
+            hsv(hash3(a, b, 51, self.seed), 0.7 * hash3(a, b, 52, self.seed), hash3(a, b, 53, self.seed))
         };
         let disc = hash3(a, b, 54, self.seed) < 0.3 && (u - u.floor() - 0.5).hypot(v - v.floor() - 0.5) < 0.35;
         if disc { v3(1.0, 1.0, 1.0) - c.map(|x| x.min(1.0)) } else { c }

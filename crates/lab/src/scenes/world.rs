@@ -23,7 +23,7 @@ pub(super) enum Light {
     Lamp(V3, V3),
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sky {
     pub zenith: V3,
     pub horizon: V3,
@@ -45,7 +45,7 @@ pub(super) struct Hit {
     triangle: u32,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct World {
     objects: Vec<Object>,
     unbounded: Vec<u32>,
@@ -67,22 +67,9 @@ impl World {
     pub fn new(rng: &Rng) -> Self {
         let grey = v3(0.5, 0.55, 0.6);
         let sky = Sky { zenith: v3(0.12, 0.25, 0.6), horizon: grey, cloud: v3(0.9, 0.9, 0.9), cover: 0.4, seed: rng.next() as u32 };
-        Self {
-            objects: Vec::new(),
-            unbounded: Vec::new(),
-            tree: Bvh::default(),
-            eye: Frame::at(V3::default()),
-            fov: 60.0,
-            lights: Vec::new(),
-            ambient: v3(0.4, 0.4, 0.4),
-            sky,
-            fog: None,
-            exposure: 1.0,
-            groups: 0,
-        }
+        Self { eye: Frame::at(V3::default()), fov: 60.0, ambient: v3(0.4, 0.4, 0.4), sky, exposure: 1.0, ..Self::default() }
     }
 
-    /// A new group.
     pub fn group(&mut self) -> u32 {
         self.groups += 1;
         self.groups

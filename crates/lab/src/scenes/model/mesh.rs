@@ -37,7 +37,7 @@ struct Triangle {
 pub struct Mesh {
     triangles: Vec<Triangle>,
     material: Material,
-    bounds: Aabb,
+    pub bounds: Aabb,
     tree: Bvh,
 }
 
@@ -59,15 +59,6 @@ impl Mesh {
         Some(Self { tree: Self::tree(&triangles), triangles, material, bounds })
     }
 
-    pub const fn low(&self) -> V3 {
-        self.bounds.low
-    }
-
-    pub const fn high(&self) -> V3 {
-        self.bounds.high
-    }
-
-    /// Translates the mesh.
     pub fn shift(&mut self, by: V3) {
         self.triangles.iter_mut().flat_map(|t| &mut t.corners).for_each(|c| c.at = c.at + by);
         self.bounds = Aabb { low: self.bounds.low + by, high: self.bounds.high + by };

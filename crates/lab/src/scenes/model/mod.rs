@@ -79,8 +79,8 @@ impl Model {
     /// [`ModelError`].
     pub fn read(bytes: &[u8], up: Up) -> Result<Self, ModelError> {
         let mut parts = read::parts(bytes, up)?;
-        let low = parts.iter().map(Mesh::low).reduce(V3::min).ok_or(ModelError::Nothing)?;
-        let high = parts.iter().map(Mesh::high).reduce(V3::max).ok_or(ModelError::Nothing)?;
+        let low = parts.iter().map(|m| m.bounds.low).reduce(V3::min).ok_or(ModelError::Nothing)?;
+        let high = parts.iter().map(|m| m.bounds.high).reduce(V3::max).ok_or(ModelError::Nothing)?;
         let foot = v3(0.5 * (low.x + high.x), high.y, 0.5 * (low.z + high.z));
         for part in &mut parts {
             part.shift(-foot);
@@ -117,16 +117,17 @@ impl Models {
 
     /// Sometimes returns a model of similar size to an object of `size` metres. Without such models, does not advance the generator.
     pub(super) fn similar(&self, rng: &Rng, size: f64) -> Option<Model> {
-        let is_similar = |m: &&Model| (size / SIZE_RATIO..size * SIZE_RATIO).contains(&m.largest());
-        let count = self.0.iter().filter(is_similar).count();
-        (count > 0 && rng.chance(REPLACED)).then(|| self.0.iter().filter(is_similar).nth(rng.int(0, count as u32 - 1) as usize).cloned())?
+        self.some(rng, REPLACED, |m| (size / SIZE_RATIO..size * SIZE_RATIO).contains(&m.largest()))
     }
 
     /// Sometimes returns a model for a camera inside it.
     pub(super) fn furnished(&self, rng: &Rng, share: f64) -> Option<Model> {
-        let count = self.0.iter().filter(|m| m.is_furnished()).count();
-        let nth = |n: u32| self.0.iter().filter(|m| m.is_furnished()).nth(n as usize).cloned();
-        (count > 0 && rng.chance(share)).then(|| nth(rng.int(0, count as u32 - 1)))?
+        self.some(rng, share, Model::is_furnished)
+    }
+
+    fn some(&self, rng: &Rng, share: f64, is_wanted: impl Fn(&Model) -> bool) -> Option<Model> {
+        let wanted: Vec<&Model> = self.0.iter().filter(|&m| is_wanted(m)).collect();
+        (!wanted.is_empty() && rng.chance(share)).then(|| wanted[rng.int(0, wanted.len() as u32 - 1) as usize].clone())
     }
 }
 

@@ -7,7 +7,6 @@ use std::sync::Arc;
 use gltf::accessor::DataType;
 use gltf::image::Source;
 use gltf::material::AlphaMode;
-use gltf::scene::Transform;
 use gltf::{Accessor, Document, Node, Primitive};
 use image::{ImageReader, Limits};
 
@@ -62,11 +61,7 @@ struct Texture {
 
 impl Reader<'_> {
     fn node(&mut self, node: &Node, above: &Matrix, deep: u32) -> Result<(), ModelError> {
-        let own = match node.transform() {
-            Transform::Matrix { matrix } => matrix.map(|c| c.map(f64::from)),
-            decomposed @ Transform::Decomposed { .. } => decomposed.matrix().map(|c| c.map(f64::from)),
-        };
-        let matrix = product(above, &own);
+        let matrix = product(above, &node.transform().matrix().map(|c| c.map(f64::from)));
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
             self.primitive(&primitive, &matrix)?;
         }
