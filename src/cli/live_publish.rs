@@ -145,7 +145,6 @@ struct Sender {
     times: u32,
     due: Instant,
     pause: Duration,
-    /// See [`SILENCE`].
     silence: Duration,
     sent: Sent,
 }
@@ -252,7 +251,6 @@ async fn send(socket: &mut Socket, kind: Kind) -> Result<(), Failure> {
 struct Heard {
     credit: u32,
     at: Instant,
-    /// See [`SILENCE`].
     silence: Duration,
     /// A taken room may be so by this program's last connection.
     may_wait: bool,
@@ -285,7 +283,6 @@ impl Heard {
         }
     }
 
-    /// Handles messages until the connection breaks.
     async fn until_lost(&mut self, socket: &mut Socket) -> Result<(), Failure> {
         loop {
             self.listen(socket, Instant::now() + self.silence, false).await?;

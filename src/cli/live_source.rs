@@ -53,7 +53,6 @@ impl Source {
         Ok(Self::Folder(files, 0, depth))
     }
 
-    /// Whether the source sets the pace of its frames.
     pub(super) const fn is_paced(&self) -> bool {
         matches!(self, Self::Program(_))
     }

@@ -71,7 +71,6 @@ enum Command {
     },
 }
 
-/// The command line's definition.
 fn command() -> clap::Command {
     // `work` fixes the role; its own address and folder let it run beside a node that serves
     let all = Cli::command().mut_subcommand("work", |c| {
