@@ -51,21 +51,15 @@ const TROUBLE: Duration = Duration::from_mins(2);
 /// Bytes of small files and views that clients may read after they have left the caches.
 const UNREAD: usize = 64 << 20;
 
-/// State of the server.
 pub struct AppState {
     /// Photos, jobs, owners, keys and rooms, in the database and the blob store.
     pub library: Library,
-    /// Makes photos.
     pub maker: Arc<dyn Maker>,
-    /// Memory of running jobs.
     pub memory: MemoryBudget,
-    /// Limits.
     pub limits: Arc<Limits>,
     /// Counters.
     pub telemetry: Arc<Telemetry>,
-    /// Decoded scenes.
     pub scenes: Cache<(), Arc<Scene>>,
-    /// The download of the better depth network.
     pub download: Download,
     /// Small files, and open ones.
     pub files: Cache<Part, StoredFile>,
@@ -77,9 +71,7 @@ pub struct AppState {
     pub exports: Cache<String, Export>,
     /// Where views are drawn.
     pub pool: BlockingPool,
-    /// Uploads in progress.
     pub uploads: ClientSlots,
-    /// Rate limits.
     pub rates: RateLimiter,
     /// Permits to read an upload whole.
     pub changes: Arc<Semaphore>,
@@ -91,15 +83,10 @@ pub struct AppState {
     trouble: Mutex<Option<(String, Instant)>>,
     /// Folder for unnamed temporary files.
     pub scratch: PathBuf,
-    /// Renders views.
     pub renderer: Arc<dyn Renderer>,
-    /// Accepted `Host` names.
     pub hosts: Hosts,
-    /// Path at which a proxy serves the server.
     pub base: BasePath,
-    /// Trusted proxies.
     pub proxies: Proxies,
-    /// Named options of views and photos.
     pub presets: Presets,
     /// Whether remote callers may list photos.
     pub public_list: bool,
@@ -109,28 +96,22 @@ pub struct AppState {
     pub build: String,
     /// Addresses that webhooks of callers may have.
     pub webhook_addresses: AddressPolicy,
-    /// Fetches photos by address.
     pub sources: Sources,
     /// `https://HOST` of this server, if it serves TLS under a name.
     pub origin: OnceLock<String>,
     /// Directory that replaces the embedded pages, for development.
     pub pages: Option<PathBuf>,
-    /// The `OpenAPI` document.
     pub openapi: Bytes,
     /// Rooms, once the server runs.
     pub rooms: OnceLock<Arc<Rooms>>,
     /// Set at the signal to stop, while everything is still served.
     pub leaving: AtomicBool,
-    /// Set when the server stops.
     pub stop: CancellationToken,
-    /// Set when an operator requests a shutdown.
     pub asked_to_leave: CancellationToken,
-    /// Whether there is an admin listener.
     pub has_admin: bool,
 }
 
 impl AppState {
-    /// State of a server that listens at `addr`.
     pub fn new(config: Config, addr: SocketAddr, library: Library, parts: AppParts) -> Self {
         let Config {
             webhook_addresses, admin, data, pages, hosts, base_path: base, proxies, presets, public_list, private, limits, ..
@@ -203,7 +184,6 @@ impl AppState {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Stores the result of a check.
     pub fn set_storage(&self, trouble: Option<&'static str>) {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
     }
@@ -214,7 +194,6 @@ impl AppState {
         trouble.as_ref().filter(|(_, at)| at.elapsed() < TROUBLE).map(|(reason, _)| reason.clone())
     }
 
-    /// Stores the fault of the last job, if any.
     pub fn set_trouble(&self, reason: Option<String>) {
         *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = reason.map(|reason| (reason, Instant::now()));
     }
@@ -414,7 +393,6 @@ impl AppState {
         self.levels.clear().await;
     }
 
-    /// Drops the cache entries of a photo.
     pub async fn evict_photo(&self, photo: PhotoId) {
         self.scenes.evict_photo(photo).await;
         self.views.evict_photo(photo).await;

@@ -39,7 +39,6 @@ const KEPT_BYTES: u64 = 768 << 20;
 /// Makes photos in child processes.
 pub struct ProcessMaker {
     checks: PipelineMaker,
-    /// Idle processes.
     idle: Mutex<Vec<ChildProcess>>,
     command: Box<dyn Fn() -> io::Result<Command> + Send + Sync>,
     /// Parent folder of the processes' temporary files.
@@ -58,7 +57,6 @@ struct ChildProcess {
     made: Option<Instant>,
     /// Whether it started with the better network.
     renewed: bool,
-    /// Whether it has low priority.
     is_low_priority: bool,
     child: Child,
     input: ChildStdin,

@@ -9,7 +9,6 @@ tokio::task_local! {
     pub static CLIENT: Option<IpAddr>;
 }
 
-/// Address of the client, if known.
 pub fn client_address() -> Option<IpAddr> {
     CLIENT.try_with(|address| *address).ok().flatten()
 }
@@ -78,7 +77,6 @@ impl ClientSlots {
         Some(ClientSlot { slots: self.clone(), address })
     }
 
-    /// Number of places taken.
     pub fn taken(&self) -> usize {
         self.lock().all
     }

@@ -99,7 +99,6 @@ impl Config {
         Sources::new(self.source_hosts.clone(), self.source_addresses)
     }
 
-    /// Location and limits of the library.
     pub(super) fn library(&self) -> tmpi_library::Config {
         let Self { data, database, blobs, limits, .. } = self;
         let reserve = limits.reserve();

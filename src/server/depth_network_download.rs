@@ -37,10 +37,8 @@ pub trait NetworkUpgrade: Send + Sync + 'static {
     fn fetch(&self, progress: &mut dyn FnMut(u64)) -> Result<InstalledNetwork, String>;
 }
 
-/// State of a download.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum DownloadState {
-    /// No download is running.
     #[default]
     Idle,
     /// Running; so many bytes are downloaded.
@@ -58,7 +56,6 @@ impl Download {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Its state.
     pub fn state(&self) -> DownloadState {
         self.lock().clone()
     }

@@ -27,7 +27,6 @@ pub struct Picture {
     pub height: u32,
 }
 
-/// The card of a photo.
 #[derive(Debug)]
 pub struct PreviewCard {
     /// Address of the server, as in the request, without a slash at its end.
@@ -55,7 +54,6 @@ impl PreviewCard {
         Self { base, id: photo.id.to_string(), title, link, view }
     }
 
-    /// The title.
     pub fn title(&self) -> &str {
         &self.title
     }

@@ -27,9 +27,7 @@ struct Allocated {
 /// Whether a job has low priority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Priority {
-    /// Normal priority.
     Normal,
-    /// Low priority.
     Low,
 }
 

@@ -102,7 +102,6 @@ async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Res
 static EMBEDDED: LazyLock<Vec<(String, OnceLock<Option<Bytes>>)>> =
     LazyLock::new(|| FILES.iter().map(|(_, bytes)| (etag_of(bytes), OnceLock::new())).collect());
 
-/// A file to send.
 struct File {
     bytes: Bytes,
     etag: String,

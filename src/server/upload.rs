@@ -26,13 +26,9 @@ const MAX_NAME: usize = 64;
 /// Longest value of a text field in bytes.
 const MAX_OPTION: usize = 1024;
 
-/// A complete upload.
 pub(super) struct UploadParts {
-    /// The photo.
     pub photo: Option<ReceivedFile>,
-    /// Its depth map.
     pub depth: Option<ReceivedFile>,
-    /// Its text fields.
     pub fields: UploadFields,
 }
 

@@ -16,7 +16,6 @@ const CLASS: &str = "class";
 /// The text fields of an upload, each given at most once.
 #[derive(Default)]
 pub struct UploadFields {
-    /// Options of the photo.
     pub options: Options,
     given: BTreeSet<String>,
     /// How urgent it is to process the photo.

@@ -26,7 +26,6 @@ pub struct ReceivedFile {
 }
 
 impl ReceivedFile {
-    /// Reads it whole.
     pub fn read(&self) -> Result<Vec<u8>, Problem> {
         std::fs::read(&self.path.0).map_err(|e| Problem::store(&e))
     }

@@ -111,7 +111,6 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Settings of a photo.
     pub fn of(photo: &Photo) -> Self {
         serde_json::from_value(photo.settings.clone()).unwrap_or_else(|error| {
             tracing::error!(id = %photo.id, %error, "ignoring unreadable settings");

@@ -335,7 +335,6 @@ impl Guard {
         self.base.at(&format!("/view/{}#manage={}", photo.id, token_of(&link)))
     }
 
-    /// The owner's cookie.
     const fn owner_cookie(&self) -> Cookie {
         if self.base.is_empty() { OWNER } else { OWNER_BELOW }
     }

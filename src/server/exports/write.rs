@@ -22,13 +22,10 @@ pub type Drawing<'a> = &'a (dyn Fn() -> Result<Arc<dyn Renderer>, String> + Sync
 
 /// An export file to write.
 pub struct ExportTask<'a> {
-    /// Its recipe.
     pub recipe: &'a Recipe,
-    /// The photo's container.
     pub container: &'a [u8],
     /// The renderer for films in this process.
     pub drawing: Drawing<'a>,
-    /// Whether it has low priority.
     pub is_low_priority: bool,
 }
 

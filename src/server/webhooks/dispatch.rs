@@ -24,7 +24,6 @@ const LOOK: Duration = Duration::from_secs(1);
 const MAX_ANSWER: usize = 16 << 10;
 const REST: Duration = Duration::from_secs(1);
 
-/// Clients for webhooks.
 pub struct Clients {
     /// Of callers.
     named: Outbound,
@@ -38,7 +37,6 @@ impl Clients {
         Self { named: Outbound::new(reach), configured: Outbound::new(AddressPolicy::Any) }
     }
 
-    /// Makes an attempt.
     async fn send(&self, due: &DueDelivery, seconds: u64, app: &App) -> Attempt {
         let begun = Instant::now();
         let sent = tokio::time::timeout(PATIENCE, self.post(due, seconds, app)).await;
