@@ -112,14 +112,19 @@ pub struct AppState {
 }
 
 impl AppState {
-    pub fn new(config: Config, addr: SocketAddr, library: Library, parts: AppParts) -> Self {
-        let Config {
-            webhook_addresses, admin, data, pages, hosts, base_path: base, proxies, presets, public_list, private, limits, ..
-        } = config;
-        let AppParts { maker, renderer, telemetry, openapi, sources } = parts;
+    pub fn new(
+        config: Config,
+        addr: SocketAddr,
+        library: Library,
+        maker: Arc<dyn Maker>,
+        renderer: Arc<dyn Renderer>,
+        telemetry: Arc<Telemetry>,
+        openapi: Bytes,
+    ) -> Self {
+        let limits = config.limits;
         WHOLE.allow(limits.cache.files / 4 * 5 + limits.cache.views + UNREAD);
         Self {
-            guard: private.then(|| Guard::new(library.clone(), base.clone())),
+            guard: config.private.then(|| Guard::new(library.clone(), config.base_path.clone())),
             library,
             memory: MemoryBudget::new(limits.job_memory),
             maker,
@@ -136,26 +141,26 @@ impl AppState {
             streams: ClientSlots::new(limits.streams),
             storage: Mutex::default(),
             trouble: Mutex::default(),
-            scratch: data,
+            scratch: config.data,
             limits: Arc::new(limits),
             telemetry,
             build: program_digest::of_server(renderer.name()),
             renderer,
-            hosts: Hosts::new(addr, &hosts),
-            base,
-            proxies,
-            presets,
-            public_list,
-            webhook_addresses,
-            sources,
+            hosts: Hosts::new(addr, &config.hosts),
+            base: config.base_path,
+            proxies: config.proxies,
+            presets: config.presets,
+            public_list: config.public_list,
+            webhook_addresses: config.webhook_addresses,
+            sources: Sources::new(config.source_hosts, config.source_addresses),
             origin: OnceLock::new(),
-            pages,
+            pages: config.pages,
             openapi,
             rooms: OnceLock::new(),
             leaving: AtomicBool::new(false),
             stop: CancellationToken::new(),
             asked_to_leave: CancellationToken::new(),
-            has_admin: admin.is_some(),
+            has_admin: config.admin.is_some(),
         }
     }
 
@@ -400,18 +405,4 @@ impl AppState {
         self.levels.evict_photo(photo).await;
         self.exports.evict_photo(photo).await;
     }
-}
-
-/// Parts of a server besides its library.
-pub struct AppParts {
-    /// Makes photos.
-    pub maker: Arc<dyn Maker>,
-    /// Renders views.
-    pub renderer: Arc<dyn Renderer>,
-    /// Counters.
-    pub telemetry: Arc<Telemetry>,
-    /// The `OpenAPI` document.
-    pub openapi: Bytes,
-    /// Fetches photos by address.
-    pub sources: Sources,
 }

@@ -93,7 +93,7 @@ pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 pub use webhooks::ConfiguredWebhook;
 
-use app_state::{App, AppParts, AppState};
+use app_state::{App, AppState};
 pub(crate) use metrics::Metric;
 use metrics::Telemetry;
 pub(crate) use timestamps::{rfc3339, since_1970};
@@ -185,9 +185,8 @@ impl Server {
         let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.stored().clone()).collect();
         library.configure_webhooks(&webhooks).await?;
         let webhooks = Arc::new(Clients::new(config.webhook_addresses));
-        let sources = config.sources();
         let (role, has_objects) = (config.role, config.blobs.is_some());
-        let app = Arc::new(AppState::new(config, addr, library, AppParts { maker, renderer, telemetry, openapi, sources }));
+        let app = Arc::new(AppState::new(config, addr, library, maker, renderer, telemetry, openapi));
         Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, webhooks, admin, lock })
     }
 
