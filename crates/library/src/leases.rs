@@ -49,7 +49,8 @@ pub struct Lease {
     pub job: Job,
     /// The photo as it was when the job was taken.
     pub photo: Photo,
-    token: String,
+    /// An `UPDATE` of the job's row must match it.
+    pub(crate) token: String,
     lasts: Duration,
     taken: Instant,
     held: OwnLeases,
@@ -210,11 +211,6 @@ impl Lease {
     /// How long it lasts without renewal.
     pub const fn lasts(&self) -> Duration {
         self.lasts
-    }
-
-    /// The token, which an `UPDATE` of the job's row must match.
-    pub(crate) fn token(&self) -> &str {
-        &self.token
     }
 
     /// How long the job has run, by this process's clock.
