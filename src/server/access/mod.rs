@@ -319,11 +319,6 @@ impl Guard {
         admission().is_some_and(|come| come.caller.is_admin())
     }
 
-    /// Id of an owner's photo whose content hashes to `content`.
-    pub fn id(&self, owner: &Owner, content: PhotoId) -> PhotoId {
-        self.library.secret().photo_id(Some(owner), content)
-    }
-
     /// Query of a link that can read a photo until `expires`, in seconds since 1970.
     pub fn query(&self, photo: &Photo, expires: u64) -> String {
         query_of(&self.library.secret().sign(Grant::View, Subject::Photo(photo), expires).into())
