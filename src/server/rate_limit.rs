@@ -9,10 +9,10 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, Method, StatusCode};
 use axum::response::Response;
 
-use super::client_slots::client_network;
 use super::conditional::insert;
 use super::limits;
 use super::problem::Problem;
+use tmpi_library::client_network;
 
 /// Current state of a bucket.
 const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");

@@ -64,7 +64,7 @@ pub use link_signatures::{Grant, Link, Secret, Subject};
 pub use owner::Owner;
 pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
 pub use photos::{Cursor, Page};
-pub use queue::{Job, JobKind, JobState, Requester};
+pub use queue::{Job, JobKind, JobState, Requester, client_network};
 pub use retention::Swept;
 pub use room_leases::Origin;
 pub use source_validators::Source;
