@@ -2,11 +2,10 @@
 
 use std::fmt::Write as _;
 
-use super::access;
 use super::app_state::AppState;
 use super::finished_photo::FinishedPhoto;
-use super::photo_options;
 use super::viewer_settings::Settings;
+use super::{access, photo_options};
 use crate::export::escaped;
 use tmpi_library::Photo;
 

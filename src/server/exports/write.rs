@@ -9,8 +9,7 @@ use crate::server::maker::Fault;
 use crate::server::problem::Problem;
 use crate::server::routes::ViewQuery;
 use axum::http::StatusCode;
-use tmpi_core::Scene;
-use tmpi_core::container;
+use tmpi_core::{Scene, container};
 use tmpi_pipeline::Sink;
 use tmpi_render::{Animation, DEFAULT_QUALITY, MotionRange, Renderer, draw_multiview};
 

@@ -20,9 +20,8 @@ use crate::server::exports::Recipe;
 use crate::server::finished_photo::FinishedPhoto;
 use crate::server::presets::PRESET;
 use crate::server::problem::Problem;
-use crate::server::program_digest;
-use crate::server::request_body;
 use crate::server::timestamps::rfc3339;
+use crate::server::{program_digest, request_body};
 use tmpi_library::{Class, Job, JobKind, JobState, LibraryError, NewExport, Part, Photo, QueueLimit};
 
 /// Most bytes of the parameters.

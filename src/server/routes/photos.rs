@@ -18,11 +18,10 @@ use crate::server::conditional::{Entity, check_if_match, insert, respond, respon
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use crate::server::program_digest::short;
-use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload_by_address::SourceOrder;
 use crate::server::viewer_settings::{PATCH_BYTES, Settings};
-use crate::server::{upload, upload_by_address};
+use crate::server::{request_body, upload, upload_by_address};
 use tmpi_library::{Cursor, Event, LibraryError, Page, Part, Photo, PhotoState as Phase};
 use tmpi_pipeline::networks::models::registry::better_than;
 

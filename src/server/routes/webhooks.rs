@@ -14,10 +14,9 @@ use super::webhook_state::{DeliveryList, DeliveryRecord, WebhookList, WebhookOrd
 use crate::server::access::Guard;
 use crate::server::app_state::{App, AppState};
 use crate::server::conditional::insert;
-use crate::server::outbound;
 use crate::server::problem::Problem;
-use crate::server::request_body;
 use crate::server::webhooks::{SigningSecret, event_types};
+use crate::server::{outbound, request_body};
 use tmpi_library::{EventType, LibraryError, NewWebhook, Owner, Webhook, WebhookChange};
 
 /// Most bytes of a webhook's fields.
