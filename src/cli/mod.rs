@@ -1,7 +1,6 @@
 //! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
 
 mod batch;
-mod better_network;
 mod config;
 mod depth;
 mod depth_pairs;

@@ -25,18 +25,6 @@ pub struct InstalledNetwork {
     pub identity: String,
 }
 
-/// Downloads a better network.
-pub trait NetworkUpgrade: Send + Sync + 'static {
-    /// The network to download.
-    fn offer(&self) -> NetworkOffer;
-
-    /// Downloads it, resuming an earlier try; blocks. Calls `progress` with the bytes downloaded so far.
-    ///
-    /// # Errors
-    /// Why it failed, as text.
-    fn fetch(&self, progress: &mut dyn FnMut(u64)) -> Result<InstalledNetwork, String>;
-}
-
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum DownloadState {
     #[default]
