@@ -164,11 +164,6 @@ impl Settings {
         Ok(())
     }
 
-    /// Query of the preview view; `None` if it is the thumbnail.
-    pub fn poster_query(&self, view_box: &ViewBox) -> Option<String> {
-        self.poster_pose(view_box).map(|pose| format!("{pose}w=640&format=jpeg"))
-    }
-
     /// The camera of the preview view, as the start of a query; `None` if it is the photo's own.
     pub fn poster_pose(&self, view_box: &ViewBox) -> Option<String> {
         let at = self.poster?;

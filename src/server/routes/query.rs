@@ -33,16 +33,6 @@ impl Pairs {
         Self::of(decode(uri)?, names)
     }
 
-    /// Like [`Pairs::read`], but ignores parameters with other names.
-    ///
-    /// # Errors
-    /// 400 that names the first parameter that is given twice.
-    pub fn read_some(uri: &Uri, names: &[&str]) -> Result<Self, Problem> {
-        let mut pairs = decode(uri)?;
-        pairs.retain(|(name, _)| names.contains(&name.as_str()));
-        Self::of(pairs, names)
-    }
-
     /// Like [`Pairs::read`], for parameters that are parsed already.
     pub fn of(pairs: Vec<(String, String)>, names: &[&str]) -> Result<Self, Problem> {
         let mut given = BTreeMap::new();

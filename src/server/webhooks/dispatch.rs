@@ -45,7 +45,8 @@ impl Clients {
         match sent {
             Ok(answer) => {
                 let attempt = judged(&answer, took);
-                drain(answer).await;
+                // the rest of one that is short
+                let _ = tokio::time::timeout(REST, Limited::new(Body::from(answer), MAX_ANSWER).collect()).await;
                 attempt
             }
             Err(error) => Attempt { verdict: Verdict::Refused(None), status: None, error: Some(error), took },
@@ -87,11 +88,6 @@ fn judged(answer: &Response, took: Duration) -> Attempt {
 fn retry_after(answer: &Response) -> Option<Duration> {
     let seconds = answer.headers().get(header::RETRY_AFTER)?.to_str().ok()?.trim().parse().ok()?;
     Some(Duration::from_secs(seconds))
-}
-
-/// Reads the rest of an answer that is short.
-async fn drain(answer: Response) {
-    let _ = tokio::time::timeout(REST, Limited::new(Body::from(answer), MAX_ANSWER).collect()).await;
 }
 
 /// Sends deliveries until the server stops: those that are due at the start, those that events announce, and those to try again.
