@@ -213,7 +213,6 @@ impl ServeArgs {
         Presets::new(&self.preset, self.presets_only, limits).map_err(|e| Usage(format!("--preset: {e}")).into())
     }
 
-    /// The key that signs tokens.
     fn room_key(&self) -> anyhow::Result<Option<Vec<u8>>> {
         let key = self.live_key.as_deref().map(files::read).transpose()?;
         if key.as_ref().is_some_and(|k| k.len() < MIN_KEY) {
@@ -228,7 +227,6 @@ impl ServeArgs {
         self.access.map_or(usual, |access| access == Access::Private)
     }
 
-    /// The trace collector, if one is configured.
     fn traces(&self) -> anyhow::Result<Option<Collector>> {
         let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
         let Some(url) = self.otlp.clone().or_else(|| variable(checks::COLLECTOR)) else { return Ok(None) };

@@ -38,7 +38,6 @@ struct Arrived {
     whole_since: Option<Instant>,
 }
 
-/// How a group ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
     /// All of it has arrived.
@@ -217,7 +216,6 @@ mod tests {
         ("attic".to_owned(), Group { epoch: 1, number })
     }
 
-    /// An answer of these pieces, as they come.
     fn answer(pieces: mpsc::UnboundedReceiver<io::Result<Bytes>>) -> Response<Body> {
         let pieces = stream::unfold(pieces, |mut pieces| async move { pieces.recv().await.map(|piece| (piece, pieces)) });
         Response::new(Body::from_stream(pieces))

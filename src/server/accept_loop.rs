@@ -45,7 +45,6 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Where connections arrive.
 pub struct Endpoint {
     pub listener: TcpListener,
-    /// TLS, if enabled.
     pub tls: Option<Tls>,
     pub proxies: Proxies,
     /// Path of the server, which is removed from the addresses of requests.

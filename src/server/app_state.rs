@@ -55,7 +55,6 @@ pub struct AppState {
     pub maker: Arc<dyn Maker>,
     pub memory: MemoryBudget,
     pub limits: Arc<Limits>,
-    /// Counters.
     pub telemetry: Arc<Telemetry>,
     pub scenes: Cache<(), Arc<Scene>>,
     pub download: Download,
@@ -67,13 +66,11 @@ pub struct AppState {
     pub views: Cache<String, StoredFile>,
     /// Files to download and films, on disk.
     pub exports: Cache<String, Export>,
-    /// Where views are drawn.
     pub pool: BlockingPool,
     pub uploads: ClientSlots,
     pub rates: RateLimiter,
     /// Permits to read an upload whole.
     pub changes: Arc<Semaphore>,
-    /// Slots for event streams.
     pub streams: ClientSlots,
     /// Result of the last check: why the library cannot be written, or what is missing to make photos.
     storage: Mutex<Option<&'static str>>,
@@ -345,7 +342,6 @@ impl AppState {
         self.levels.get((version, key), make).await
     }
 
-    /// The tiles over a region of a photo.
     async fn tiles(&self, photo: &Photo, region: Rect) -> Result<TileRect, Problem> {
         let slot = self.pool.enter(WorkClass::Derived, 0).await?;
         let whole = self.container_of(photo).await?;
@@ -361,7 +357,6 @@ impl AppState {
         }
     }
 
-    /// The disk for unnamed temporary files.
     pub fn temp_folder(&self) -> TempFolder {
         TempFolder { blobs: self.library.blobs().clone(), folder: self.scratch.clone() }
     }

@@ -15,7 +15,6 @@ const DESCRIPTION: &str = "A 3D photo: it moves as you look around.";
 /// Longest side of the picture in pixels: what sites with large previews ask for.
 pub const PICTURE: u32 = 1200;
 
-/// A picture of a photo.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Picture {
     /// Absolute address.

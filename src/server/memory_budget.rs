@@ -78,7 +78,6 @@ impl MemoryBudget {
         there.then(|| MemoryPermit { of: self, bytes })
     }
 
-    /// Bytes given out.
     pub fn taken(&self) -> u64 {
         self.lock().taken
     }

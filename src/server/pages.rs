@@ -30,7 +30,6 @@ const EMBEDDER_POLICY: HeaderName = HeaderName::from_static("cross-origin-embedd
 pub enum Frames {
     /// This site: the page has buttons that change things, which another site could cover with its own (clickjacking).
     Own,
-    /// Any site.
     Anybody,
 }
 

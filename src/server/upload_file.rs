@@ -30,7 +30,6 @@ impl ReceivedFile {
         std::fs::read(&self.path.0).map_err(|e| Problem::store(&e))
     }
 
-    /// For the library.
     pub fn content(&self) -> Content {
         Content::of_file(self.path.0.clone(), self.bytes, self.digest.clone())
     }

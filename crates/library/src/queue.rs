@@ -149,7 +149,6 @@ impl FromRow<'_, AnyRow> for Job {
     }
 }
 
-/// A job to queue.
 pub(crate) struct NewJob<'a> {
     pub kind: JobKind,
     pub photo: PhotoId,
@@ -160,7 +159,6 @@ pub(crate) struct NewJob<'a> {
     pub requester: &'a Requester,
 }
 
-/// Id of a job.
 pub(crate) fn id_of(kind: JobKind, photo: PhotoId, key: Option<&str>) -> String {
     match (kind, key) {
         (JobKind::Export | JobKind::Film, Some(key)) => format!("export/{photo}/{key}"),

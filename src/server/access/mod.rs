@@ -218,7 +218,6 @@ impl Guard {
         Ok((self.of_cookie(headers).await?, token))
     }
 
-    /// The caller by its owner cookie.
     async fn of_cookie(&self, headers: &HeaderMap) -> Result<Caller, Problem> {
         let Some(kept) = cookie(headers, self.owner_cookie()) else { return Ok(Caller::Anonymous) };
         Ok(self.owner_of(kept).await?.map_or(Caller::Anonymous, |owner| Caller::Owner(owner, kept.to_owned())))

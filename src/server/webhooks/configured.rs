@@ -19,7 +19,6 @@ impl ConfiguredWebhook {
     }
 }
 
-/// Its fields.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Fields {
