@@ -60,9 +60,15 @@ enum Command {
     Fsck(integrity::IntegrityArgs),
     /// Remove files that no photo refers to and that are at least a day old; servers may run meanwhile
     Gc(integrity::IntegrityArgs),
-    Models(models::ModelsArgs),
-    Live(live::LiveArgs),
-    Key(key::KeyArgs),
+    /// List and fetch published depth networks
+    #[command(subcommand)]
+    Models(models::ModelsCommand),
+    /// Publish and watch moving 3D photos
+    #[command(subcommand)]
+    Live(live::LiveCommand),
+    /// Create, list and revoke API keys of a server with `--access private`
+    #[command(subcommand)]
+    Key(key::KeyCommand),
     /// Write a completion script for a shell
     Completions {
         /// The shell
@@ -162,9 +168,9 @@ fn run(command: Command) -> anyhow::Result<()> {
         }
         Command::Fsck(args) => integrity::fsck(&args),
         Command::Gc(args) => integrity::gc(&args),
-        Command::Models(args) => models::run(&args),
-        Command::Live(args) => live::run(&args),
-        Command::Key(args) => key::run(&args),
+        Command::Models(command) => models::run(&command),
+        Command::Live(command) => live::run(&command),
+        Command::Key(command) => key::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "tmpi", &mut script);
