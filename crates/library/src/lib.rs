@@ -27,7 +27,6 @@ mod owner;
 mod photo;
 mod photos;
 mod queue;
-mod quota;
 mod remake;
 mod retention;
 mod room_leases;
