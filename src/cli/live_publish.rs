@@ -166,7 +166,7 @@ impl Sender {
     /// Sends frames to the end of the source over one connection.
     async fn send(&mut self, mut socket: Socket, hello: &Hello) -> Result<(), Failure> {
         send(&mut socket, Kind::Hello(hello.clone())).await?;
-        let live = self.source.is_paced();
+        let live = matches!(self.source, Source::Program(_));
         let (mut number, mut waits_for_key) = (0u64, true);
         let mut heard = Heard { credit: 0, at: Instant::now(), silence: self.silence, may_wait: self.sent.frames > 0 };
         if let Some(sound) = &mut self.sound {
