@@ -184,7 +184,7 @@ impl Server {
             // the process that held them has ended
             library.reclaim().await?;
         }
-        let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.stored().clone()).collect();
+        let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.0.clone()).collect();
         library.configure_webhooks(&webhooks).await?;
         let webhooks = Arc::new(Clients::new(config.webhook_addresses));
         let (role, has_objects) = (config.role, config.blobs.is_some());
