@@ -200,7 +200,6 @@ pub fn fuzz(text: &str) {
     }
 }
 
-/// A value of a file as JSON.
 fn json(value: &Value) -> String {
     serde_json::to_value(value).map_or_else(|error| error.to_string(), |value| value.to_string())
 }
@@ -298,12 +297,10 @@ fn shown_tables(limits: &Limits, said: &[String], sources: &Sources) -> serde_js
     Ok(text)
 }
 
-/// The JSON schema of the file.
 pub(super) fn schema(command: &Command) -> serde_json::Value {
     settings::file_schema(command, |option| option.get_long().is_some_and(|long| setting(command, long).is_some()))
 }
 
-/// Whether an option's values are tables of the file.
 fn is_webhooks(option: &Arg) -> bool {
     option.get_long() == Some(WEBHOOKS)
 }
@@ -348,7 +345,6 @@ pub(super) fn without_secrets(address: &str) -> String {
     format!("{scheme}{place}{query}{}", if fragment.is_some() { "#…" } else { "" })
 }
 
-/// Hides the secrets of an error's invalid value.
 pub(super) fn told_without_secrets(mut error: clap::Error) -> clap::Error {
     if let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue)
         && (value.contains('@') || value.contains("://") || value.starts_with('{'))

@@ -95,7 +95,6 @@ pub(super) struct MakeFlags {
 pub(super) struct Strokes(Vec<Stroke>);
 
 impl MakeFlags {
-    /// The pipeline's options.
     pub(super) fn options(&self) -> Options {
         Options {
             depth_kind: self.depth_kind,

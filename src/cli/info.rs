@@ -6,8 +6,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{files, result};
-use tmpi_core::Class;
-use tmpi_core::container;
+use tmpi_core::{Class, container};
 
 /// Characters of a full bar.
 const BAR: f64 = 40.0;

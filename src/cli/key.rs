@@ -8,15 +8,8 @@ use super::library_args::LibraryArgs;
 use super::result;
 use crate::server::rfc3339;
 
-/// Create, list and revoke API keys of a server with `--access private`
-#[derive(Clone, Debug, clap::Args)]
-pub(super) struct KeyArgs {
-    #[command(subcommand)]
-    what: What,
-}
-
 #[derive(Clone, Debug, clap::Subcommand)]
-enum What {
+pub(super) enum KeyCommand {
     /// Create a key and print it; the server does not store the key itself. Keys with the same name own the same photos
     Add {
         /// Name of the owner: letters, digits, dots, - and _
@@ -61,19 +54,19 @@ fn line(key: &Key) -> String {
     format!("{} {} {}, since {}{end}", key.id, key.name, scopes.join(","), rfc3339(key.created_at))
 }
 
-pub(super) fn run(args: &KeyArgs) -> anyhow::Result<()> {
-    match &args.what {
-        What::Add { name, scope, days, create, server } => {
+pub(super) fn run(command: &KeyCommand) -> anyhow::Result<()> {
+    match command {
+        KeyCommand::Add { name, scope, days, create, server } => {
             let lasts = days.map(|days| Duration::from_hours(24 * u64::from(days)));
             let key = server.with(*create, async |library| Ok(library.add_key(name, scope, lasts).await?))?;
             result(&key.secret)
         }
-        What::List { server } => {
+        KeyCommand::List { server } => {
             let all = server.with(false, async |library| Ok(library.keys().await?))?;
             let lines: Vec<String> = all.iter().map(line).collect();
             if lines.is_empty() { Ok(()) } else { result(&lines.join("\n")) }
         }
-        What::Remove { name, id, server } => {
+        KeyCommand::Remove { name, id, server } => {
             let count = server.with(false, async |library| Ok(library.remove_keys(name, id.as_deref()).await?))?;
             eprintln!("{count} {} revoked", if count == 1 { "key" } else { "keys" });
             Ok(())

@@ -8,15 +8,8 @@ use super::{files, result};
 use crate::live::{self as rooms, Grant};
 use crate::server::since_1970;
 
-/// Publish and watch moving 3D photos
-#[derive(Clone, Debug, clap::Args)]
-pub(super) struct LiveArgs {
-    #[command(subcommand)]
-    what: What,
-}
-
 #[derive(Clone, Debug, clap::Subcommand)]
-enum What {
+pub(super) enum LiveCommand {
     Publish(PublishArgs),
     Watch(WatchArgs),
     Token(TokenArgs),
@@ -24,7 +17,7 @@ enum What {
 
 /// Print a token that admits its holder to a room
 #[derive(Clone, Debug, clap::Args)]
-struct TokenArgs {
+pub(super) struct TokenArgs {
     /// Name of the room
     room: String,
     /// File with the server's key, as given to `serve --live-key`
@@ -38,11 +31,11 @@ struct TokenArgs {
     hours: u32,
 }
 
-pub(super) fn run(args: &LiveArgs) -> anyhow::Result<()> {
-    match &args.what {
-        What::Publish(args) => live_publish::publish(args),
-        What::Watch(args) => live_watch::watch(args),
-        What::Token(args) => token(args),
+pub(super) fn run(command: &LiveCommand) -> anyhow::Result<()> {
+    match command {
+        LiveCommand::Publish(args) => live_publish::publish(args),
+        LiveCommand::Watch(args) => live_watch::watch(args),
+        LiveCommand::Token(args) => token(args),
     }
 }
 

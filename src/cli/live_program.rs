@@ -35,7 +35,6 @@ impl Program {
         Ok(Self { command, live, child, units, left_out })
     }
 
-    /// Starts the program again.
     pub(super) fn begin_again(&mut self) -> anyhow::Result<()> {
         (self.child, self.units) = spawn(&mut self.command, self.live, &self.left_out)?;
         Ok(())

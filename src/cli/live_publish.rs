@@ -145,7 +145,6 @@ struct Sender {
     times: u32,
     due: Instant,
     pause: Duration,
-    /// See [`SILENCE`].
     silence: Duration,
     sent: Sent,
 }
@@ -167,7 +166,7 @@ impl Sender {
     /// Sends frames to the end of the source over one connection.
     async fn send(&mut self, mut socket: Socket, hello: &Hello) -> Result<(), Failure> {
         send(&mut socket, Kind::Hello(hello.clone())).await?;
-        let live = self.source.is_paced();
+        let live = matches!(self.source, Source::Program(_));
         let (mut number, mut waits_for_key) = (0u64, true);
         let mut heard = Heard { credit: 0, at: Instant::now(), silence: self.silence, may_wait: self.sent.frames > 0 };
         if let Some(sound) = &mut self.sound {
@@ -252,7 +251,6 @@ async fn send(socket: &mut Socket, kind: Kind) -> Result<(), Failure> {
 struct Heard {
     credit: u32,
     at: Instant,
-    /// See [`SILENCE`].
     silence: Duration,
     /// A taken room may be so by this program's last connection.
     may_wait: bool,
@@ -285,7 +283,6 @@ impl Heard {
         }
     }
 
-    /// Handles messages until the connection breaks.
     async fn until_lost(&mut self, socket: &mut Socket) -> Result<(), Failure> {
         loop {
             self.listen(socket, Instant::now() + self.silence, false).await?;

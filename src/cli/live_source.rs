@@ -53,11 +53,6 @@ impl Source {
         Ok(Self::Folder(files, 0, depth))
     }
 
-    /// Whether the source sets the pace of its frames.
-    pub(super) const fn is_paced(&self) -> bool {
-        matches!(self, Self::Program(_))
-    }
-
     /// Units that were dropped in favour of newer ones.
     pub(super) fn left_out(&self) -> u64 {
         if let Self::Program(program) = self { program.left_out() } else { 0 }

@@ -11,11 +11,10 @@ use super::batch::{Batch, Item};
 use super::flags::MakeFlags;
 use super::progress::Bars;
 use super::{Usage, files, is_broken_pipe, reasons, watch};
-use tmpi_pipeline::Report;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{self, Made, Models, Options, Stereo};
+use tmpi_pipeline::{self, Made, Models, Options, Report, Stereo};
 
 /// Make tiled multiplane images of photos
 #[derive(Clone, Debug, clap::Args)]

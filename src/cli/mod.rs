@@ -1,7 +1,6 @@
 //! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
 
 mod batch;
-mod better_network;
 mod config;
 mod depth;
 mod depth_pairs;
@@ -61,9 +60,15 @@ enum Command {
     Fsck(integrity::IntegrityArgs),
     /// Remove files that no photo refers to and that are at least a day old; servers may run meanwhile
     Gc(integrity::IntegrityArgs),
-    Models(models::ModelsArgs),
-    Live(live::LiveArgs),
-    Key(key::KeyArgs),
+    /// List and fetch published depth networks
+    #[command(subcommand)]
+    Models(models::ModelsCommand),
+    /// Publish and watch moving 3D photos
+    #[command(subcommand)]
+    Live(live::LiveCommand),
+    /// Create, list and revoke API keys of a server with `--access private`
+    #[command(subcommand)]
+    Key(key::KeyCommand),
     /// Write a completion script for a shell
     Completions {
         /// The shell
@@ -71,7 +76,6 @@ enum Command {
     },
 }
 
-/// The command line's definition.
 fn command() -> clap::Command {
     // `work` fixes the role; its own address and folder let it run beside a node that serves
     let all = Cli::command().mut_subcommand("work", |c| {
@@ -164,9 +168,9 @@ fn run(command: Command) -> anyhow::Result<()> {
         }
         Command::Fsck(args) => integrity::fsck(&args),
         Command::Gc(args) => integrity::gc(&args),
-        Command::Models(args) => models::run(&args),
-        Command::Live(args) => live::run(&args),
-        Command::Key(args) => key::run(&args),
+        Command::Models(command) => models::run(&command),
+        Command::Live(command) => live::run(&command),
+        Command::Key(command) => key::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "tmpi", &mut script);

@@ -11,15 +11,8 @@ use tmpi_pipeline::networks::models::download::{Digest, RemoteFile, fetch};
 use tmpi_pipeline::networks::models::external_data_files;
 use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, default_model, folder, published, recommended_download};
 
-/// List and fetch published depth networks
-#[derive(Clone, Debug, clap::Args)]
-pub(super) struct ModelsArgs {
-    #[command(subcommand)]
-    command: Command,
-}
-
 #[derive(Clone, Debug, clap::Subcommand)]
-enum Command {
+pub(super) enum ModelsCommand {
     /// List names, sizes, licences and URLs, and which networks are installed
     List {
         /// JSON on standard output
@@ -47,10 +40,10 @@ enum Command {
     },
 }
 
-pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
-    match &args.command {
-        Command::List { json } => list(*json),
-        Command::Get { name, url, sha256, output, quiet } if name == "auto" => {
+pub(super) fn run(command: &ModelsCommand) -> anyhow::Result<()> {
+    match command {
+        ModelsCommand::List { json } => list(*json),
+        ModelsCommand::Get { name, url, sha256, output, quiet } if name == "auto" => {
             let here = default_model().filter(|_| output.is_none());
             let enough = here.as_ref().is_some_and(|(adapter, _)| recommended_download(adapter.name).is_none());
             if let Some((_, file)) = here.as_ref().filter(|_| enough) {
@@ -61,7 +54,7 @@ pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
             note(&format!("could not fetch a better depth network; using {used}: {}", reasons(&error)));
             here.map_or(Ok(()), |(_, file)| result(&file.display().to_string()))
         }
-        Command::Get { name, url, sha256, output, quiet } => get(name, url.as_deref().zip(*sha256), output.clone(), *quiet),
+        ModelsCommand::Get { name, url, sha256, output, quiet } => get(name, url.as_deref().zip(*sha256), output.clone(), *quiet),
     }
 }
 

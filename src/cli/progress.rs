@@ -47,7 +47,6 @@ pub(super) struct Bar {
     quiet: bool,
 }
 
-/// A stage in plain words.
 fn words(stage: &'static str) -> &'static str {
     match stage {
         "photo" => "reading the photo",

@@ -9,8 +9,7 @@ use serde_json::json;
 
 use super::flags::{fov_x, numbers, quality, size};
 use super::{Usage, files, note, result_as};
-use tmpi_core::container;
-use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
+use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox, container};
 use tmpi_render::{
     self, Animation, AnimationFormat, Arrangement, Backend, EYE_DISTANCE, MAX_PIXELS, MAX_SIDE, MotionRange, PictureFormat, Rig,
     StereoLayout,

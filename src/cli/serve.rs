@@ -10,16 +10,14 @@ use anyhow::Context as _;
 use axum::http::HeaderName;
 use clap::ArgAction;
 
-use super::better_network::BetterNetwork;
 use super::settings::{Assignment, applied, assignment};
 use super::{Usage, files};
-use sha2::{Digest as _, Sha256};
 use tmpi_pipeline::networks::cli_flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    AddressPolicy, BasePath, Collector, Config, ConfiguredWebhook, Limits, Network, NetworkUpgrade, PipelineMaker, Preset, Presets,
-    ProcessMaker, Proxies, Rates, Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, hex, run_child, stop_signal,
+    AddressPolicy, BasePath, BetterNetwork, Collector, Config, ConfiguredWebhook, Limits, Network, PipelineMaker, Preset, Presets,
+    ProcessMaker, Proxies, Rates, Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, identity, run_child, stop_signal,
     use_one_malloc_arena,
 };
 use tmpi_pipeline::Models;
@@ -215,7 +213,6 @@ impl ServeArgs {
         Presets::new(&self.preset, self.presets_only, limits).map_err(|e| Usage(format!("--preset: {e}")).into())
     }
 
-    /// The key that signs tokens.
     fn room_key(&self) -> anyhow::Result<Option<Vec<u8>>> {
         let key = self.live_key.as_deref().map(files::read).transpose()?;
         if key.as_ref().is_some_and(|k| k.len() < MIN_KEY) {
@@ -230,7 +227,6 @@ impl ServeArgs {
         self.access.map_or(usual, |access| access == Access::Private)
     }
 
-    /// The trace collector, if one is configured.
     fn traces(&self) -> anyhow::Result<Option<Collector>> {
         let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
         let Some(url) = self.otlp.clone().or_else(|| variable(checks::COLLECTOR)) else { return Ok(None) };
@@ -292,8 +288,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     open_files::raise(limits.connections as u64);
     let renderer = tmpi_render::select_with_cache(args.backend, limits.cache.scenes).context("renderer")?;
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
-    let maker =
-        ProcessMaker::new(maker, args.for_makers, &args.data).with_better_network(better.map(|b| Box::new(b) as Box<dyn NetworkUpgrade>));
+    let maker = ProcessMaker::new(maker, args.for_makers, &args.data, better);
     if !private && !args.addr.ip().is_loopback() {
         tracing::warn!(
             "the server has no authentication: every client may see and change every photo whose URL it knows; see --access private"
@@ -359,34 +354,6 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     // the next start resumes a job that outlived the drain time
     runtime.shutdown_background();
     Ok(())
-}
-
-/// Identifies the networks on which photos depend: a photo is made again with another network.
-pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
-    // an embedded network is a part of the program
-    let mut digest: Option<String> = None;
-    if let Some(file) = &settings.depth_file {
-        let weights = models::external_data_files(file)?.into_iter().map(|(_, file)| file);
-        for file in std::iter::once(file.clone()).chain(weights) {
-            let bytes = std::fs::read(&file).with_context(|| file.display().to_string())?;
-            // for one file its digest, for several their digests concatenated
-            digest = Some(digest.unwrap_or_default() + &hex(&Sha256::digest(bytes)));
-        }
-    }
-    let models::Settings { depth, depth_pixels, depth_smoothing, depth_ramp, flip, folder, .. } = settings;
-    let mut text = format!("{} {digest:?} {depth_pixels:?} {depth_smoothing:?} {flip:?}", depth.name);
-    if let Some(ramp) = depth_ramp {
-        text = format!("{text} {ramp:?}");
-    }
-    // optional networks
-    for name in [models::THETA, models::PSI] {
-        match std::fs::read(folder.join(name)) {
-            Ok(bytes) => text = format!("{text} {name} {}", hex(&Sha256::digest(bytes))),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
-            Err(e) => return Err(e).with_context(|| folder.join(name).display().to_string()),
-        }
-    }
-    Ok(text)
 }
 
 mod checks;

@@ -53,7 +53,6 @@ pub(super) fn all() -> &'static [Setting] {
     &ALL
 }
 
-/// The setting of a key in a table.
 pub(super) fn of_key(table: &str, key: &str) -> Option<&'static Setting> {
     all().iter().find(|setting| setting.table == table && setting.key == key)
 }
@@ -76,7 +75,6 @@ impl Setting {
         &table[&self.key]
     }
 
-    /// Parses a value.
     pub fn parse(&'static self, text: &str) -> Result<Assignment, String> {
         let bound = |name: &str| self.schema[name].as_f64();
         let is_whole = self.schema["type"] != "number";
@@ -97,7 +95,6 @@ pub(super) fn assignment(text: &str) -> Result<Assignment, String> {
     of_key(table, key).ok_or_else(|| format!("{table}.{key} is no setting; `tmpi config` lists them"))?.parse(value)
 }
 
-/// `usual` with the assignments applied.
 pub(super) fn applied(usual: &Limits, said: &[Assignment]) -> serde_json::Result<Limits> {
     let mut all = serde_json::to_value(usual)?;
     for Assignment { setting, value } in said {

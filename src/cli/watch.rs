@@ -186,6 +186,13 @@ mod tests {
                 .map(|i| i.depth.as_ref().map_or_else(|| name(&i.photo), |map| format!("{} {}", name(&i.photo), name(map))))
                 .collect()
         }
+
+        /// A new file lets `due` be made, once it is complete.
+        fn gets(&mut self, file: &str, due: &str) {
+            self.write(&format!("in/{file}"), "1");
+            assert!(self.due(SETTLE).is_empty(), "{file}");
+            assert_eq!(self.due(SETTLE), [due], "{file}");
+        }
     }
 
     #[test]
@@ -211,9 +218,7 @@ mod tests {
         place.write("out/a.tmpi", "made before");
         assert!(place.due(SETTLE).is_empty() && place.due(SETTLE).is_empty());
         // a picture of the same name changes the name of its container, which is no reason to make it again
-        place.write("in/a.png", "1");
-        assert!(place.due(SETTLE).is_empty());
-        assert_eq!(place.due(SETTLE), ["a.png"]);
+        place.gets("a.png", "a.png");
     }
 
     #[test]
@@ -223,15 +228,9 @@ mod tests {
         let notes = place.look(SETTLE).notes;
         assert!(notes.len() == 1 && notes[0].contains("b_depth.png: waits"), "{notes:?}");
         assert_eq!(place.look(SETTLE), Look::default(), "told once, and never a photo of its own");
-        place.write("in/b.jpg", "1");
-        assert!(place.due(SETTLE).is_empty());
-        assert_eq!(place.due(SETTLE), ["b.jpg b_depth.png"]);
-        place.write("in/c.jpg", "1");
-        assert!(place.due(SETTLE).is_empty());
-        assert_eq!(place.due(SETTLE), ["c.jpg"]);
-        place.write("in/c-depth.pfm", "1");
-        assert!(place.due(SETTLE).is_empty());
-        assert_eq!(place.due(SETTLE), ["c.jpg c-depth.pfm"]);
+        place.gets("b.jpg", "b.jpg b_depth.png");
+        place.gets("c.jpg", "c.jpg");
+        place.gets("c-depth.pfm", "c.jpg c-depth.pfm");
     }
 
     #[test]
@@ -247,8 +246,6 @@ mod tests {
         assert_eq!(place.look(POLL), Look::default());
         std::fs::rename(&away, &there).unwrap();
         assert_eq!(place.look(SETTLE), Look::default());
-        place.write("in/b.jpg", "1");
-        assert!(place.due(SETTLE).is_empty());
-        assert_eq!(place.due(SETTLE), ["b.jpg"]);
+        place.gets("b.jpg", "b.jpg");
     }
 }

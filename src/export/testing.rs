@@ -4,10 +4,9 @@ use std::sync::{Arc, OnceLock};
 
 use tmpi_core::container::{decode, encode_jpeg};
 use tmpi_core::{DisparityMap, Photo, Scene};
-use tmpi_pipeline::Silent;
 use tmpi_pipeline::depth::{DepthError, to_png};
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{Models, Options, make};
+use tmpi_pipeline::{Models, Options, Silent, make};
 
 /// Container and scene of a box in front of a ground that reaches from the camera to the horizon, with the sky at infinity.
 pub(super) fn sample() -> &'static (Vec<u8>, Scene) {

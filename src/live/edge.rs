@@ -45,12 +45,6 @@ pub enum EdgeError {
     Library(#[from] LibraryError),
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
-enum SubscriptionEnd {
-    Unwatched,
-    Bye(Bye),
-}
-
 /// Serves a room from its origins, one after the other, until it has no viewers here, its publisher comes to this node, or no origin has
 /// sent anything for [`COME_BACK`].
 pub async fn run(nodes: Arc<Nodes>, entry: RoomHandle, ended: CancellationToken) {
@@ -92,8 +86,8 @@ impl Edge<'_> {
                 tracing::debug!(%error, room = self.name, "a room of another node");
             }
             gone = match ended {
-                Ok(SubscriptionEnd::Bye(bye)) if matches!(bye.cause(), Cause::Left | Cause::Rejected) => return Some(bye),
-                Ok(SubscriptionEnd::Bye(bye)) => bye.cause() == Cause::Lost,
+                Ok(Some(bye)) if matches!(bye.cause(), Cause::Left | Cause::Rejected) => return Some(bye),
+                Ok(Some(bye)) => bye.cause() == Cause::Lost,
                 _ => false,
             };
             if self.is_unwatched() || self.heard.elapsed() > COME_BACK {
@@ -110,8 +104,8 @@ impl Edge<'_> {
         self.watched.elapsed() > UNWATCHED
     }
 
-    /// Relays one origin.
-    async fn subscribe(&mut self, origin: &Origin) -> Result<SubscriptionEnd, EdgeError> {
+    /// Relays one origin until its farewell, or until nobody watches.
+    async fn subscribe(&mut self, origin: &Origin) -> Result<Option<Bye>, EdgeError> {
         let mut socket = self.nodes.subscribe(origin, self.name).await?;
         let (mut look, mut told, mut told_at) = (interval(LOOK), 0, None::<Instant>);
         let mut silent = Instant::now() + SILENCE;
@@ -121,21 +115,21 @@ impl Edge<'_> {
                     let came = came.map_err(|_| EdgeError::Silent)?;
                     self.heard = Instant::now();
                     silent = self.heard + SILENCE;
-                    let end = match came {
+                    let bye = match came {
                         Some(Ok(Message::Binary(bytes))) => self.take(bytes)?,
                         Some(Ok(Message::Close(_))) | None => return Err(EdgeError::Closed),
                         Some(Ok(_)) => None,
                         Some(Err(error)) => return Err(error.into()),
                     };
-                    match end {
-                        Some(end) => return Ok(end),
-                        None => continue,
+                    if bye.is_some() {
+                        return Ok(bye);
                     }
+                    continue;
                 }
                 () = self.room.keys.notified() => true,
                 _ = look.tick() => {
                     if self.is_unwatched() {
-                        return Ok(SubscriptionEnd::Unwatched);
+                        return Ok(None);
                     }
                     if told == self.room.local_viewers() || told_at.is_some_and(|at| at.elapsed() < COUNT) {
                         continue;
@@ -148,12 +142,12 @@ impl Edge<'_> {
         }
     }
 
-    /// Handles a message; returns how the subscription ends if it does.
-    fn take(&mut self, bytes: Bytes) -> Result<Option<SubscriptionEnd>, EdgeError> {
+    /// Handles a message; returns it if it is the farewell.
+    fn take(&mut self, bytes: Bytes) -> Result<Option<Bye>, EdgeError> {
         // unknown kinds come from newer versions
         let Ok(kind) = read(bytes.clone()) else { return Ok(None) };
         match kind {
-            Kind::Bye(bye) => return Ok(Some(SubscriptionEnd::Bye(bye))),
+            Kind::Bye(bye) => return Ok(Some(bye)),
             Kind::Hello(hello) => {
                 self.epoch = hello.epoch;
                 if !self.room.relay_hello(hello) {

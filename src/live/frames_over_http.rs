@@ -85,8 +85,6 @@ fn handed_on(answer: Response) -> Response {
                 ("x-tmpi-epoch" = u64, description = "Epoch of the frame"),
             )),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No valid token: a page of another site always needs one"),
         (status = 404, description = "The room has no publisher, or no finished frame yet"),
         (status = 503, description = "The node that has the room's publisher does not answer"),
     )
@@ -124,8 +122,6 @@ pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, 
         (status = 200, description = "Messages, as they come", body = String, content_type = "application/vnd.tmpi.live"),
         (status = 307, description = "The newest group",
             headers(("Location" = String, description = "Its address, relative to this one"))),
-        (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No valid token: a page of another site always needs one"),
         (status = 404, description = "The group does not exist yet, or not any more; ask again after `Retry-After`"),
         (status = 503, description = "The node that has the room's publisher does not answer"),
     )

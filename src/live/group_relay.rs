@@ -38,7 +38,6 @@ struct Arrived {
     whole_since: Option<Instant>,
 }
 
-/// How a group ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
     /// All of it has arrived.
@@ -217,7 +216,6 @@ mod tests {
         ("attic".to_owned(), Group { epoch: 1, number })
     }
 
-    /// An answer of these pieces, as they come.
     fn answer(pieces: mpsc::UnboundedReceiver<io::Result<Bytes>>) -> Response<Body> {
         let pieces = stream::unfold(pieces, |mut pieces| async move { pieces.recv().await.map(|piece| (piece, pieces)) });
         Response::new(Body::from_stream(pieces))
@@ -225,6 +223,12 @@ mod tests {
 
     async fn whole(body: Body) -> Option<Bytes> {
         to_bytes(body, usize::MAX).await.ok()
+    }
+
+    async fn until(is_so: impl Fn() -> bool) {
+        while !is_so() {
+            tokio::task::yield_now().await;
+        }
     }
 
     fn never() -> std::future::Pending<Result<Response<Body>, Problem>> {
@@ -251,14 +255,10 @@ mod tests {
         assert_eq!(missing.unwrap_err().status, 404);
         let (send, pieces) = mpsc::unbounded_channel();
         send.send(Err(io::Error::other("the origin has gone"))).unwrap();
-        while relay.lock().contains_key(&key(0)) {
-            tokio::task::yield_now().await;
-        }
+        until(|| !relay.lock().contains_key(&key(0))).await;
         let broken = relay.get(key(0), async { Ok(answer(pieces)) }).await.unwrap();
         assert_eq!(whole(broken).await, None);
-        while relay.lock().contains_key(&key(0)) {
-            tokio::task::yield_now().await;
-        }
+        until(|| !relay.lock().contains_key(&key(0))).await;
         let again = relay.get(key(0), async { Ok(Response::new(Body::from("all"))) }).await.unwrap();
         assert_eq!(whole(again).await.unwrap(), "all");
     }
@@ -275,9 +275,7 @@ mod tests {
             let relay = Arc::clone(&relay);
             async move { relay.get(key(0), fetch).await.map(drop) }
         });
-        while relay.lock().is_empty() {
-            tokio::task::yield_now().await;
-        }
+        until(|| !relay.lock().is_empty()).await;
         viewer.abort();
         assert!(gone.await.is_err(), "the request ends");
         assert!(relay.lock().is_empty());
@@ -296,12 +294,8 @@ mod tests {
         let kept: Vec<String> = relay.lock().keys().map(|(room, _)| room.clone()).collect();
         assert_eq!((kept, relay.bytes.load(Ordering::Relaxed)), (vec!["three".to_owned(), "two".to_owned()], 8));
         assert_eq!(get("large", "more than ten").await, None);
-        while !relay.lock().is_empty() {
-            tokio::task::yield_now().await;
-        }
-        while relay.bytes.load(Ordering::Relaxed) > 0 {
-            tokio::task::yield_now().await;
-        }
+        until(|| relay.lock().is_empty()).await;
+        until(|| relay.bytes.load(Ordering::Relaxed) == 0).await;
         assert_eq!(get("next", "ten").await.unwrap(), "ten");
     }
 
@@ -311,15 +305,10 @@ mod tests {
         let mut slow = Vec::new();
         for number in 0..2 * KEPT as u64 {
             let body = relay.get(key(number), async { Ok(Response::new(Body::from("all"))) }).await.unwrap();
-            let is_whole = || relay.lock().get(&key(number)).is_some_and(|group| group.borrow().end == Some(End::Whole));
-            while !is_whole() {
-                tokio::task::yield_now().await;
-            }
+            until(|| relay.lock().get(&key(number)).is_some_and(|group| group.borrow().end == Some(End::Whole))).await;
             slow.push(body);
         }
-        while relay.lock().len() > KEPT {
-            tokio::task::yield_now().await;
-        }
+        until(|| relay.lock().len() <= KEPT).await;
         let kept: Vec<u64> = relay.lock().keys().map(|(_, group)| group.number).collect();
         assert_eq!(kept, [4, 5, 6, 7]);
         let last = slow.pop().unwrap();

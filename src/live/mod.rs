@@ -309,7 +309,6 @@ fn unreachable(error: &LibraryError) -> Problem {
 /// How long to read and drop a disconnected client's messages, so that it gets to read BYE.
 const LINGER: Duration = Duration::from_secs(2);
 
-/// Disconnects a client with a reason.
 async fn disconnect(mut socket: WebSocket, bye: Bye) {
     let farewell = async {
         // the client may have gone

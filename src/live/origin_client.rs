@@ -74,7 +74,6 @@ pub struct Nodes {
     pub(super) address: NodeAddress,
     http: reqwest::Client,
     groups: Arc<GroupRelay>,
-    /// Set when the server stops.
     pub stop: CancellationToken,
 }
 

@@ -15,7 +15,6 @@ use crate::server::{Pairs, Problem, check_origin, since_1970};
 #[derive(Clone)]
 pub struct RoomsContext {
     pub rooms: Arc<Rooms>,
-    /// Set when the server stops.
     pub stop: CancellationToken,
     /// Whether a request comes from this machine's own user.
     pub own: Arc<dyn Fn(&HeaderMap) -> bool + Send + Sync>,

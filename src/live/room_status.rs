@@ -41,9 +41,6 @@ pub(super) struct RoomState {
     ),
     responses(
         (status = 200, description = "The state", body = RoomState),
-        (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No valid token: a page of another site always needs one"),
-        (status = 404, description = "The name is invalid, or rooms are disabled"),
     )
 )]
 pub(super) async fn state(

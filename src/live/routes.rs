@@ -58,9 +58,7 @@ fn bounded(upgrade: Upgrade, most: usize) -> Result<WebSocketUpgrade, Problem> {
     ),
     responses(
         (status = 101, description = "The socket is open"),
-        (status = 400, description = "A parameter is unknown"),
         (status = 403, description = "The request comes from a page of another site, or has no valid token"),
-        (status = 404, description = "The name is invalid, or rooms are disabled"),
         (status = 426, description = "The request is not a WebSocket upgrade"),
         (status = 503, description = "The limit of rooms is reached"),
     )
@@ -97,8 +95,6 @@ async fn publish(
     ),
     responses(
         (status = 101, description = "The socket is open"),
-        (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No valid token: a page of another site always needs one"),
         (status = 404, description = "The room has no publisher"),
         (status = 426, description = "The request is not a WebSocket upgrade"),
         (status = 503, description = "The limit of viewers of the room at this node is reached, or that of rooms"),
@@ -149,7 +145,6 @@ struct WatchToken {
         (status = 200, description = "The token", body = WatchToken),
         (status = 400, description = "A parameter is unknown, or the request has a body"),
         (status = 403, description = "The request comes from a page of another site, or has no valid token"),
-        (status = 404, description = "The name is invalid, or rooms are disabled"),
     )
 )]
 async fn watch_token(

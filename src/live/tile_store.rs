@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 use bytes::Bytes;
 
 use tmpi_core::Grid;
-use tmpi_core::live::chunk;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Chunk, Hello};
-use tmpi_core::live::{MAX_MESSAGE, TileState, write};
+use tmpi_core::live::{MAX_MESSAGE, TileState, chunk, write};
 
 /// Chunks by version and area, and for each tile the chunk with its newest version.
 pub struct Chunks {

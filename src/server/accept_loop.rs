@@ -44,11 +44,8 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// Where connections arrive.
 pub struct Endpoint {
-    /// The listening socket.
     pub listener: TcpListener,
-    /// TLS, if enabled.
     pub tls: Option<Tls>,
-    /// Trusted proxies.
     pub proxies: Proxies,
     /// Path of the server, which is removed from the addresses of requests.
     pub base: BasePath,
@@ -127,7 +124,6 @@ pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, tel
     }
 }
 
-/// A connection being served.
 struct Connection {
     http: Http,
     router: Router,

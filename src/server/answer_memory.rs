@@ -26,11 +26,9 @@ pub struct AnswerMemory {
 #[derive(Debug)]
 pub struct Share {
     of: &'static AnswerMemory,
-    /// How many bytes.
     pub bytes: usize,
 }
 
-/// A piece with its share.
 struct Piece {
     bytes: Bytes,
     #[expect(dead_code, reason = "held until it is dropped")]

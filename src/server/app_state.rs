@@ -11,7 +11,6 @@ use bytes::Bytes;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::Config;
 use super::access::Guard;
 use super::answer_memory::WHOLE;
 use super::base_path::BasePath;
@@ -31,10 +30,9 @@ use super::metrics::Telemetry;
 use super::outbound::AddressPolicy;
 use super::presets::Presets;
 use super::problem::Problem;
-use super::program_digest;
 use super::proxies::Proxies;
 use super::rate_limit::RateLimiter;
-use super::traces;
+use super::{Config, program_digest, traces};
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, TileRect};
 use tmpi_core::{Rect, Scene};
@@ -51,21 +49,14 @@ const TROUBLE: Duration = Duration::from_mins(2);
 /// Bytes of small files and views that clients may read after they have left the caches.
 const UNREAD: usize = 64 << 20;
 
-/// State of the server.
 pub struct AppState {
     /// Photos, jobs, owners, keys and rooms, in the database and the blob store.
     pub library: Library,
-    /// Makes photos.
     pub maker: Arc<dyn Maker>,
-    /// Memory of running jobs.
     pub memory: MemoryBudget,
-    /// Limits.
     pub limits: Arc<Limits>,
-    /// Counters.
     pub telemetry: Arc<Telemetry>,
-    /// Decoded scenes.
     pub scenes: Cache<(), Arc<Scene>>,
-    /// The download of the better depth network.
     pub download: Download,
     /// Small files, and open ones.
     pub files: Cache<Part, StoredFile>,
@@ -75,15 +66,11 @@ pub struct AppState {
     pub views: Cache<String, StoredFile>,
     /// Files to download and films, on disk.
     pub exports: Cache<String, Export>,
-    /// Where views are drawn.
     pub pool: BlockingPool,
-    /// Uploads in progress.
     pub uploads: ClientSlots,
-    /// Rate limits.
     pub rates: RateLimiter,
     /// Permits to read an upload whole.
     pub changes: Arc<Semaphore>,
-    /// Slots for event streams.
     pub streams: ClientSlots,
     /// Result of the last check: why the library cannot be written, or what is missing to make photos.
     storage: Mutex<Option<&'static str>>,
@@ -91,15 +78,10 @@ pub struct AppState {
     trouble: Mutex<Option<(String, Instant)>>,
     /// Folder for unnamed temporary files.
     pub scratch: PathBuf,
-    /// Renders views.
     pub renderer: Arc<dyn Renderer>,
-    /// Accepted `Host` names.
     pub hosts: Hosts,
-    /// Path at which a proxy serves the server.
     pub base: BasePath,
-    /// Trusted proxies.
     pub proxies: Proxies,
-    /// Named options of views and photos.
     pub presets: Presets,
     /// Whether remote callers may list photos.
     pub public_list: bool,
@@ -109,36 +91,35 @@ pub struct AppState {
     pub build: String,
     /// Addresses that webhooks of callers may have.
     pub webhook_addresses: AddressPolicy,
-    /// Fetches photos by address.
     pub sources: Sources,
     /// `https://HOST` of this server, if it serves TLS under a name.
     pub origin: OnceLock<String>,
     /// Directory that replaces the embedded pages, for development.
     pub pages: Option<PathBuf>,
-    /// The `OpenAPI` document.
     pub openapi: Bytes,
     /// Rooms, once the server runs.
     pub rooms: OnceLock<Arc<Rooms>>,
     /// Set at the signal to stop, while everything is still served.
     pub leaving: AtomicBool,
-    /// Set when the server stops.
     pub stop: CancellationToken,
-    /// Set when an operator requests a shutdown.
     pub asked_to_leave: CancellationToken,
-    /// Whether there is an admin listener.
     pub has_admin: bool,
 }
 
 impl AppState {
-    /// State of a server that listens at `addr`.
-    pub fn new(config: Config, addr: SocketAddr, library: Library, parts: AppParts) -> Self {
-        let Config {
-            webhook_addresses, admin, data, pages, hosts, base_path: base, proxies, presets, public_list, private, limits, ..
-        } = config;
-        let AppParts { maker, renderer, telemetry, openapi, sources } = parts;
+    pub fn new(
+        config: Config,
+        addr: SocketAddr,
+        library: Library,
+        maker: Arc<dyn Maker>,
+        renderer: Arc<dyn Renderer>,
+        telemetry: Arc<Telemetry>,
+        openapi: Bytes,
+    ) -> Self {
+        let limits = config.limits;
         WHOLE.allow(limits.cache.files / 4 * 5 + limits.cache.views + UNREAD);
         Self {
-            guard: private.then(|| Guard::new(library.clone(), base.clone())),
+            guard: config.private.then(|| Guard::new(library.clone(), config.base_path.clone())),
             library,
             memory: MemoryBudget::new(limits.job_memory),
             maker,
@@ -155,26 +136,26 @@ impl AppState {
             streams: ClientSlots::new(limits.streams),
             storage: Mutex::default(),
             trouble: Mutex::default(),
-            scratch: data,
+            scratch: config.data,
             limits: Arc::new(limits),
             telemetry,
             build: program_digest::of_server(renderer.name()),
             renderer,
-            hosts: Hosts::new(addr, &hosts),
-            base,
-            proxies,
-            presets,
-            public_list,
-            webhook_addresses,
-            sources,
+            hosts: Hosts::new(addr, &config.hosts),
+            base: config.base_path,
+            proxies: config.proxies,
+            presets: config.presets,
+            public_list: config.public_list,
+            webhook_addresses: config.webhook_addresses,
+            sources: Sources::new(config.source_hosts, config.source_addresses),
             origin: OnceLock::new(),
-            pages,
+            pages: config.pages,
             openapi,
             rooms: OnceLock::new(),
             leaving: AtomicBool::new(false),
             stop: CancellationToken::new(),
             asked_to_leave: CancellationToken::new(),
-            has_admin: admin.is_some(),
+            has_admin: config.admin.is_some(),
         }
     }
 
@@ -203,7 +184,6 @@ impl AppState {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Stores the result of a check.
     pub fn set_storage(&self, trouble: Option<&'static str>) {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
     }
@@ -214,7 +194,6 @@ impl AppState {
         trouble.as_ref().filter(|(_, at)| at.elapsed() < TROUBLE).map(|(reason, _)| reason.clone())
     }
 
-    /// Stores the fault of the last job, if any.
     pub fn set_trouble(&self, reason: Option<String>) {
         *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = reason.map(|reason| (reason, Instant::now()));
     }
@@ -363,7 +342,6 @@ impl AppState {
         self.levels.get((version, key), make).await
     }
 
-    /// The tiles over a region of a photo.
     async fn tiles(&self, photo: &Photo, region: Rect) -> Result<TileRect, Problem> {
         let slot = self.pool.enter(WorkClass::Derived, 0).await?;
         let whole = self.container_of(photo).await?;
@@ -379,7 +357,6 @@ impl AppState {
         }
     }
 
-    /// The disk for unnamed temporary files.
     pub fn temp_folder(&self) -> TempFolder {
         TempFolder { blobs: self.library.blobs().clone(), folder: self.scratch.clone() }
     }
@@ -414,7 +391,6 @@ impl AppState {
         self.levels.clear().await;
     }
 
-    /// Drops the cache entries of a photo.
     pub async fn evict_photo(&self, photo: PhotoId) {
         self.scenes.evict_photo(photo).await;
         self.views.evict_photo(photo).await;
@@ -422,18 +398,4 @@ impl AppState {
         self.levels.evict_photo(photo).await;
         self.exports.evict_photo(photo).await;
     }
-}
-
-/// Parts of a server besides its library.
-pub struct AppParts {
-    /// Makes photos.
-    pub maker: Arc<dyn Maker>,
-    /// Renders views.
-    pub renderer: Arc<dyn Renderer>,
-    /// Counters.
-    pub telemetry: Arc<Telemetry>,
-    /// The `OpenAPI` document.
-    pub openapi: Bytes,
-    /// Fetches photos by address.
-    pub sources: Sources,
 }

@@ -27,7 +27,6 @@ pub enum WorkClass {
 }
 
 impl WorkClass {
-    /// All classes.
     #[cfg(test)]
     const ALL: [Self; 3] = [Self::Interactive, Self::Derived, Self::Export];
 
@@ -67,7 +66,6 @@ pub struct Slot {
 }
 
 impl BlockingPool {
-    /// With the limits of a server.
     pub fn new(limits: &Limits) -> Self {
         let lane = |slots: usize, most_waiting, seconds| Lane {
             slots: Arc::new(Semaphore::new(slots.max(1))),
@@ -133,7 +131,6 @@ impl BlockingPool {
         Slot { _held: Arc::new((slot, memory, traces::work(class.name()))) }
     }
 
-    /// Number of waiting requests of a class.
     pub fn waiting(&self, class: WorkClass) -> usize {
         self.lane(class).waiting.taken()
     }

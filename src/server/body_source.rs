@@ -24,16 +24,13 @@ const OBJECT_PIECE: usize = 1 << 20;
 /// Bytes of an answer.
 #[derive(Clone, Debug)]
 pub enum Source {
-    /// In memory.
     Memory(Bytes),
     /// A file and its length in bytes.
     File(Arc<File>, usize),
-    /// An object in an object store.
     Object(BlobStore, Arc<Blob>),
 }
 
 impl Source {
-    /// Number of bytes.
     pub fn len(&self) -> usize {
         match self {
             Self::Memory(bytes) => bytes.len(),
@@ -58,7 +55,6 @@ impl Source {
         }
     }
 
-    /// A body that sends `range` of it.
     pub fn body(self, range: Range<usize>) -> Body {
         self.body_within(range, &PIECES)
     }

@@ -84,7 +84,6 @@ impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
         }
     }
 
-    /// Removes the entries of a photo.
     pub async fn evict_photo(&self, photo: PhotoId) {
         if let Err(error) = self.kept.invalidate_entries_if(move |((of, _), _), _| *of == photo) {
             // on error they age out: their keys are not used again
@@ -93,7 +92,6 @@ impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
         self.evict_idle().await;
     }
 
-    /// Removes everything.
     pub async fn clear(&self) {
         self.kept.invalidate_all();
         self.evict_idle().await;
@@ -104,7 +102,6 @@ impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
         self.kept.weighted_size()
     }
 
-    /// Number of entries.
     #[cfg(test)]
     pub fn entries(&self) -> u64 {
         self.kept.entry_count()

@@ -26,7 +26,6 @@ const OPEN_FILE: usize = 1 << 20;
 /// A result file of a photo, or a derived one.
 #[derive(Clone, Debug)]
 pub struct StoredFile {
-    /// Its bytes.
     pub source: Source,
     /// Strong entity tag with its quotes.
     pub etag: Arc<str>,
@@ -133,7 +132,6 @@ fn open(path: &std::path::Path, blob: &Blob) -> io::Result<Option<File>> {
 pub struct TempFolder {
     /// Tells whether there is space beyond the reserve.
     pub blobs: BlobStore,
-    /// Their folder.
     pub folder: PathBuf,
 }
 

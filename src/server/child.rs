@@ -17,7 +17,8 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::depth_network_download::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
+use super::better_network::BetterNetwork;
+use super::depth_network_download::{InstalledNetwork, NetworkOffer};
 use super::exports::ExportTask;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 use super::problem::Problem;
@@ -39,13 +40,12 @@ const KEPT_BYTES: u64 = 768 << 20;
 /// Makes photos in child processes.
 pub struct ProcessMaker {
     checks: PipelineMaker,
-    /// Idle processes.
     idle: Mutex<Vec<ChildProcess>>,
     command: Box<dyn Fn() -> io::Result<Command> + Send + Sync>,
     /// Parent folder of the processes' temporary files.
     scratch: PathBuf,
-    /// Downloads a better network; processes that start later use it.
-    better: Option<Box<dyn NetworkUpgrade>>,
+    /// It may be downloaded; processes that start later use it.
+    better: Option<BetterNetwork>,
     /// Maker identity and network after the download.
     renewed: OnceLock<InstalledNetwork>,
 }
@@ -58,7 +58,6 @@ struct ChildProcess {
     made: Option<Instant>,
     /// Whether it started with the better network.
     renewed: bool,
-    /// Whether it has low priority.
     is_low_priority: bool,
     child: Child,
     input: ChildStdin,
@@ -152,11 +151,11 @@ pub fn disable_process_inspection() {}
 
 impl ProcessMaker {
     /// A maker that checks photos itself, and starts a process ahead of the first photo. `arguments` is the command line of the processes
-    /// without the program; their temporary files are in the data directory `data`.
-    pub fn new(checks: PipelineMaker, arguments: Vec<OsString>, data: &Path) -> Self {
+    /// without the program; their temporary files are in the data directory `data`. It may download the network `better` while it runs.
+    pub fn new(checks: PipelineMaker, arguments: Vec<OsString>, data: &Path, better: Option<BetterNetwork>) -> Self {
         let command = Box::new(move || this_program(&arguments));
         let scratch = scratch::folder(data);
-        let maker = Self { checks, idle: Mutex::default(), command, scratch, better: None, renewed: OnceLock::new() };
+        let maker = Self { checks, idle: Mutex::default(), command, scratch, better, renewed: OnceLock::new() };
         maker.prepare();
         maker
     }
@@ -168,11 +167,6 @@ impl ProcessMaker {
             // the first photo retries, and reports the failure
             Err(error) => tracing::warn!(%error, "starting a process that makes photos"),
         }
-    }
-
-    /// The same maker, with a network that it may download while it runs.
-    pub fn with_better_network(self, better: Option<Box<dyn NetworkUpgrade>>) -> Self {
-        Self { better, ..self }
     }
 
     fn start(&self, is_low_priority: bool) -> io::Result<ChildProcess> {
@@ -243,7 +237,7 @@ impl Maker for ProcessMaker {
     }
 
     fn better(&self) -> Option<NetworkOffer> {
-        self.better.as_ref().filter(|_| self.renewed.get().is_none()).map(|better| better.offer())
+        self.better.as_ref().filter(|_| self.renewed.get().is_none()).map(BetterNetwork::offer)
     }
 
     fn download_better(&self, progress: &mut dyn FnMut(u64)) -> Result<(), String> {

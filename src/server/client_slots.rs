@@ -1,25 +1,18 @@
 //! Limits per address, so that one client cannot take all places.
 
 use std::collections::HashMap;
-use std::net::{IpAddr, Ipv6Addr};
+use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tmpi_library::client_network;
 
 tokio::task_local! {
     /// Address of the client, if it tells clients apart: loopback is also the address of all clients behind a proxy.
     pub static CLIENT: Option<IpAddr>;
 }
 
-/// Address of the client, if known.
 pub fn client_address() -> Option<IpAddr> {
     CLIENT.try_with(|address| *address).ok().flatten()
-}
-
-/// The address that stands for a customer: an IPv6 customer has a whole /64 network.
-pub fn client_network(address: IpAddr) -> IpAddr {
-    match address.to_canonical() {
-        IpAddr::V6(v6) => Ipv6Addr::from(u128::from(v6) >> 64 << 64).into(),
-        v4 @ IpAddr::V4(_) => v4,
-    }
 }
 
 /// A number of places, of which one address can have a share.
@@ -78,7 +71,6 @@ impl ClientSlots {
         Some(ClientSlot { slots: self.clone(), address })
     }
 
-    /// Number of places taken.
     pub fn taken(&self) -> usize {
         self.lock().all
     }

@@ -29,9 +29,7 @@ pub struct Entity<'a> {
     pub source: Source,
     /// Strong entity tag with its quotes.
     pub etag: &'a str,
-    /// Media type.
     pub content_type: &'a str,
-    /// `Cache-Control`.
     pub cache_control: &'a str,
     /// Whether gzip is possible.
     pub coding: ContentCoding,
@@ -70,12 +68,9 @@ impl ContentCoding {
     }
 }
 
-/// The bytes that a request asks for.
 #[derive(Debug, PartialEq, Eq)]
 pub enum RequestedRange {
-    /// All bytes.
     All,
-    /// This range.
     Part(Range<usize>),
     /// A range outside the content.
     Unsatisfiable,

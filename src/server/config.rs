@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use super::base_path::BasePath;
-use super::fetch_by_url::{SourceHost, Sources};
+use super::fetch_by_url::SourceHost;
 use super::limits::Limits;
 use super::outbound::AddressPolicy;
 use super::presets::Presets;
@@ -94,12 +94,6 @@ impl Config {
         }
     }
 
-    /// What fetches photos by address.
-    pub(super) fn sources(&self) -> Sources {
-        Sources::new(self.source_hosts.clone(), self.source_addresses)
-    }
-
-    /// Location and limits of the library.
     pub(super) fn library(&self) -> tmpi_library::Config {
         let Self { data, database, blobs, limits, .. } = self;
         let reserve = limits.reserve();

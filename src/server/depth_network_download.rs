@@ -25,22 +25,8 @@ pub struct InstalledNetwork {
     pub identity: String,
 }
 
-/// Downloads a better network.
-pub trait NetworkUpgrade: Send + Sync + 'static {
-    /// The network to download.
-    fn offer(&self) -> NetworkOffer;
-
-    /// Downloads it, resuming an earlier try; blocks. Calls `progress` with the bytes downloaded so far.
-    ///
-    /// # Errors
-    /// Why it failed, as text.
-    fn fetch(&self, progress: &mut dyn FnMut(u64)) -> Result<InstalledNetwork, String>;
-}
-
-/// State of a download.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum DownloadState {
-    /// No download is running.
     #[default]
     Idle,
     /// Running; so many bytes are downloaded.
@@ -58,7 +44,6 @@ impl Download {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Its state.
     pub fn state(&self) -> DownloadState {
         self.lock().clone()
     }

@@ -85,9 +85,7 @@ pub enum SourceError {
 /// What a source said of a photo, by which it can be asked whether that has changed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Validators {
-    /// `ETag`.
     pub etag: Option<String>,
-    /// `Last-Modified`.
     pub last_modified: Option<String>,
 }
 

@@ -5,7 +5,6 @@ use tmpi_library::{Part, Photo, PhotoState};
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
 const SCENE_BYTES: u64 = 13;
 
-/// A finished photo.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FinishedPhoto {
     /// When, milliseconds since 1970 by the database's clock.

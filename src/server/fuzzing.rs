@@ -4,17 +4,16 @@ use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 
-use super::Limits;
 use super::access::{link_of_url, query_of, take_link};
 use super::conditional::{RequestedRange, requested_range};
 use super::exports::Recipe;
 use super::hosts::origin;
 use super::multipart_header_limit::LimitedHeaders;
-use super::photo_options;
 use super::proxies::{Network, Proxies, X_FORWARDED_FOR};
 use super::request_body::json_parameters;
 use super::routes::{ViewQuery, decode};
 use super::viewer_settings::Settings;
+use super::{Limits, photo_options};
 use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
 
 /// Reads a query for a view of a photo of 60 × 40 pixels.

@@ -42,7 +42,6 @@ pub struct OpenStream {
 }
 
 impl Streams {
-    /// Of a new connection.
     pub fn new() -> Arc<Self> {
         Arc::new(Self(Mutex::new(State { next: 0, open: BTreeMap::new(), idle: Instant::now() })))
     }
@@ -51,7 +50,6 @@ impl Streams {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a request.
     pub fn open(self: &Arc<Self>) -> OpenStream {
         let mut state = self.lock();
         state.next += 1;

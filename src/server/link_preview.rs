@@ -2,11 +2,10 @@
 
 use std::fmt::Write as _;
 
-use super::access;
 use super::app_state::AppState;
 use super::finished_photo::FinishedPhoto;
-use super::photo_options;
 use super::viewer_settings::Settings;
+use super::{access, photo_options};
 use crate::export::escaped;
 use tmpi_library::Photo;
 
@@ -16,7 +15,6 @@ const DESCRIPTION: &str = "A 3D photo: it moves as you look around.";
 /// Longest side of the picture in pixels: what sites with large previews ask for.
 pub const PICTURE: u32 = 1200;
 
-/// A picture of a photo.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Picture {
     /// Absolute address.
@@ -27,7 +25,6 @@ pub struct Picture {
     pub height: u32,
 }
 
-/// The card of a photo.
 #[derive(Debug)]
 pub struct PreviewCard {
     /// Address of the server, as in the request, without a slash at its end.
@@ -55,7 +52,6 @@ impl PreviewCard {
         Self { base, id: photo.id.to_string(), title, link, view }
     }
 
-    /// The title.
     pub fn title(&self) -> &str {
         &self.title
     }

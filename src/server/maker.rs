@@ -3,12 +3,9 @@
 use std::time::Duration;
 
 use tmpi_core::container::{self, ContainerError};
-use tmpi_pipeline::Report;
-use tmpi_pipeline::Sink;
 use tmpi_pipeline::depth::DepthError;
 use tmpi_pipeline::photo::{self, Head};
-use tmpi_pipeline::strokes;
-use tmpi_pipeline::{self, MakeError, Models, Options, Sizes};
+use tmpi_pipeline::{self, MakeError, Models, Options, Report, Sink, Sizes, strokes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::depth_network_download::NetworkOffer;

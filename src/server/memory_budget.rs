@@ -27,9 +27,7 @@ struct Allocated {
 /// Whether a job has low priority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Priority {
-    /// Normal priority.
     Normal,
-    /// Low priority.
     Low,
 }
 
@@ -80,7 +78,6 @@ impl MemoryBudget {
         there.then(|| MemoryPermit { of: self, bytes })
     }
 
-    /// Bytes given out.
     pub fn taken(&self) -> u64 {
         self.lock().taken
     }

@@ -39,7 +39,6 @@ fn durations<L: Clone + Hash + Eq>() -> Durations<L> {
     Durations::new_with_constructor(|| Histogram::new(BUCKETS))
 }
 
-/// All metrics of a server.
 pub struct Telemetry {
     started: Instant,
     since: SystemTime,
@@ -135,7 +134,6 @@ impl Telemetry {
         self.traces.as_ref().map_or_else(JobSpan::default, |traces| traces.job(parent, id, attempt))
     }
 
-    /// Records an answered request.
     pub fn request(&self, method: &'static str, route: &str, status: u16, took: Duration) {
         self.requests.get_or_create(&Answered { method, route: route.to_owned(), status }).inc();
         self.durations.get_or_create(&[("route", route.to_owned())]).observe(took.as_secs_f64());
@@ -152,12 +150,10 @@ impl Telemetry {
         self.view_phases.get_or_create(&[("phase", phase)]).observe(took.as_secs_f64());
     }
 
-    /// Records bytes of accepted uploads.
     pub fn uploaded(&self, bytes: u64) {
         self.uploaded.inc_by(bytes);
     }
 
-    /// Records photos that retention deleted.
     pub fn swept(&self, swept: &Swept) {
         for (reason, count) in [("age", swept.by_age), ("space", swept.by_space)] {
             self.retired.get_or_create(&[("reason", reason)]).inc_by(count);

@@ -52,13 +52,9 @@ pub async fn around_admin(State((app, hosts)): State<(App, Arc<Hosts>)>, request
 /// The listener of a request.
 #[derive(Clone, Copy)]
 struct Checks<'a> {
-    /// Accepted `Host` names.
     hosts: &'a Hosts,
-    /// Trusted proxies.
     proxies: Option<&'a Proxies>,
-    /// Access control.
     guard: Option<&'a Guard>,
-    /// Rate limits.
     rates: Option<&'a RateLimiter>,
 }
 
@@ -101,12 +97,10 @@ async fn wrap(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Re
     response
 }
 
-/// The span of a request's log lines.
 fn span(id: &str, peer: Option<IpAddr>, method: &Method, path: &str) -> Span {
     tracing::info_span!("request", id, peer = peer.map(tracing::field::display), %method, path, trace = tracing::field::Empty)
 }
 
-/// The log line of a request.
 fn log(span: &Span, status: StatusCode, took: Duration) {
     span.in_scope(|| {
         let (ms, is_ours, status) = ((took.as_secs_f64() * 1e5).round() / 1e2, status.is_server_error(), status.as_u16());

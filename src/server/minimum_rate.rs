@@ -39,9 +39,7 @@ pub struct MinimumRate<S> {
 
 /// Whether to limit the send buffer, and how.
 pub struct SmallBuffer<S> {
-    /// Set to limit it.
     pub wanted: Arc<AtomicBool>,
-    /// Limits it.
     pub keep: fn(&S),
 }
 

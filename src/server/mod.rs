@@ -9,6 +9,7 @@ mod access;
 mod answer_memory;
 mod app_state;
 mod base_path;
+mod better_network;
 mod blocking_pool;
 mod body_source;
 mod cache;
@@ -74,11 +75,12 @@ use tokio::net::TcpListener;
 
 pub use accept_loop::ConnectionGuard;
 pub use base_path::BasePath;
+pub(crate) use better_network::{BetterNetwork, identity};
 pub use child::{ProcessMaker, VARIABLE, disable_process_inspection, serve as run_child};
 pub(crate) use conditional::{ContentCoding, Entity, respond};
 pub use config::{Config, Role};
 pub(crate) use cross_site::check_origin;
-pub use depth_network_download::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
+pub use depth_network_download::NetworkOffer;
 pub use fetch_by_url::SourceHost;
 pub use idle_trim::use_one_malloc_arena;
 pub use limits::{Caches, Exports, Limits, Quotas, Rates, Retention};
@@ -93,7 +95,7 @@ pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 pub use webhooks::ConfiguredWebhook;
 
-use app_state::{App, AppParts, AppState};
+use app_state::{App, AppState};
 pub(crate) use metrics::Metric;
 use metrics::Telemetry;
 pub(crate) use timestamps::{rfc3339, since_1970};
@@ -182,12 +184,11 @@ impl Server {
             // the process that held them has ended
             library.reclaim().await?;
         }
-        let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.stored().clone()).collect();
+        let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.0.clone()).collect();
         library.configure_webhooks(&webhooks).await?;
         let webhooks = Arc::new(Clients::new(config.webhook_addresses));
-        let sources = config.sources();
         let (role, has_objects) = (config.role, config.blobs.is_some());
-        let app = Arc::new(AppState::new(config, addr, library, AppParts { maker, renderer, telemetry, openapi, sources }));
+        let app = Arc::new(AppState::new(config, addr, library, maker, renderer, telemetry, openapi));
         Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, webhooks, admin, lock })
     }
 

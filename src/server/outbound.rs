@@ -158,18 +158,15 @@ pub struct Outbound {
 }
 
 impl Outbound {
-    /// To addresses within `reach`.
     pub const fn new(reach: AddressPolicy) -> Self {
         Self { reach, client: OnceLock::new() }
     }
 
-    /// With another client.
     #[cfg(test)]
     pub fn of(reach: AddressPolicy, client: Client) -> Self {
         Self { reach, client: OnceLock::from(client) }
     }
 
-    /// Which addresses it reaches.
     pub const fn reach(&self) -> AddressPolicy {
         self.reach
     }
@@ -187,7 +184,6 @@ impl Outbound {
     }
 }
 
-/// Makes such a client.
 pub fn builder(reach: AddressPolicy) -> ClientBuilder {
     // keeps a provider that is installed already
     let _ = rustls::crypto::ring::default_provider().install_default();

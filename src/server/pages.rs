@@ -30,7 +30,6 @@ const EMBEDDER_POLICY: HeaderName = HeaderName::from_static("cross-origin-embedd
 pub enum Frames {
     /// This site: the page has buttons that change things, which another site could cover with its own (clickjacking).
     Own,
-    /// Any site.
     Anybody,
 }
 
@@ -102,7 +101,6 @@ async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Res
 static EMBEDDED: LazyLock<Vec<(String, OnceLock<Option<Bytes>>)>> =
     LazyLock::new(|| FILES.iter().map(|(_, bytes)| (etag_of(bytes), OnceLock::new())).collect());
 
-/// A file to send.
 struct File {
     bytes: Bytes,
     etag: String,

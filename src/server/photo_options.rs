@@ -116,7 +116,6 @@ pub fn from_text(text: &BTreeMap<String, String>) -> Result<Options, Problem> {
     Ok(options)
 }
 
-/// The name of a choice.
 pub fn value_name<T: ValueEnum>(value: &T) -> String {
     value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
 }

@@ -7,11 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use tmpi_core::container::ContainerError;
 use tmpi_library::{LibraryError, QueueLimit, Quota, Service};
-use tmpi_pipeline::MakeError;
-use tmpi_pipeline::StageError;
 use tmpi_pipeline::depth::DepthError;
 use tmpi_pipeline::photo::PhotoError;
 use tmpi_pipeline::strokes::StrokeError;
+use tmpi_pipeline::{MakeError, StageError};
 use tmpi_render::{AnimationError, EncodeError, RenderError};
 
 /// Media type of a problem.

@@ -9,10 +9,10 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, Method, StatusCode};
 use axum::response::Response;
 
-use super::client_slots::client_network;
 use super::conditional::insert;
 use super::limits;
 use super::problem::Problem;
+use tmpi_library::client_network;
 
 /// Current state of a bucket.
 const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
@@ -49,7 +49,6 @@ struct Buckets {
     full: Mutex<HashMap<RateKey, Instant>>,
 }
 
-/// State of a bucket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct BucketState {
     name: &'static str,
@@ -96,7 +95,6 @@ impl Buckets {
     }
 }
 
-/// All rate limits of a server.
 #[derive(Debug)]
 pub struct RateLimiter {
     requests: Option<Buckets>,
@@ -109,7 +107,6 @@ pub struct RateLimiter {
 pub struct RateHeaders(Vec<BucketState>);
 
 impl RateLimiter {
-    /// The rates of `limits`.
     pub fn new(limits: &limits::Rates) -> Self {
         Self {
             requests: Buckets::new("requests", limits.requests),

@@ -124,7 +124,6 @@ impl UnreadBody {
     }
 }
 
-/// A bounded body.
 pub struct LimitedBody {
     inner: Option<Body>,
     rest: UnreadBody,

@@ -60,7 +60,6 @@ impl Tls {
         Ok(Self { cert, key, chain, now })
     }
 
-    /// The acceptor for the next connection.
     pub(super) fn acceptor(&self) -> TlsAcceptor {
         self.now.read().unwrap_or_else(PoisonError::into_inner).clone()
     }

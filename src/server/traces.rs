@@ -181,7 +181,6 @@ pub fn answered(request: &Context, status: u16) {
 #[derive(Debug, Default)]
 pub struct JobSpan {
     span: Context,
-    /// The current stage.
     stage: Mutex<(&'static str, Context)>,
 }
 

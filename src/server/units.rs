@@ -6,11 +6,9 @@ use std::time::Duration;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A second.
 pub const SECOND: u64 = 1;
 /// Seconds of a day.
 pub const DAY: u64 = 86_400;
-/// A million.
 pub const MEGA: u64 = 1_000_000;
 /// Bytes of a MiB.
 pub const MIB: u64 = 1 << 20;

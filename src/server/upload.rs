@@ -26,13 +26,9 @@ const MAX_NAME: usize = 64;
 /// Longest value of a text field in bytes.
 const MAX_OPTION: usize = 1024;
 
-/// A complete upload.
 pub(super) struct UploadParts {
-    /// The photo.
     pub photo: Option<ReceivedFile>,
-    /// Its depth map.
     pub depth: Option<ReceivedFile>,
-    /// Its text fields.
     pub fields: UploadFields,
 }
 
@@ -88,7 +84,7 @@ pub(super) async fn accept(app: &App, parts: UploadParts, owner: Option<Owner>) 
     let text = photo_options::to_text(&options);
     let depth_digest = depth.as_ref().map(|depth| &depth.digest);
     let content = PhotoId::of_content(&photo.digest, depth_digest, &photo_options::canonical(&text), app.maker.identity());
-    let id = app.guard.as_ref().zip(owner.as_ref()).map_or(content, |(guard, owner)| guard.id(owner, content));
+    let id = app.library.secret().photo_id(owner.as_ref(), content);
     let bytes = photo.bytes + depth.as_ref().map_or(0, |depth| depth.bytes);
     let (photo, depth) = if app.library.find(id).await?.is_some() { (photo, depth) } else { check(app, photo, depth, options).await? };
     let upload = Upload {

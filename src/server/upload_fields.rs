@@ -16,7 +16,6 @@ const CLASS: &str = "class";
 /// The text fields of an upload, each given at most once.
 #[derive(Default)]
 pub struct UploadFields {
-    /// Options of the photo.
     pub options: Options,
     given: BTreeSet<String>,
     /// How urgent it is to process the photo.
@@ -30,11 +29,6 @@ pub struct UploadFields {
 }
 
 impl UploadFields {
-    /// None yet; options besides presets need `free`.
-    pub fn new(free: bool) -> Self {
-        Self { free, ..Self::default() }
-    }
-
     /// Sets a field or parameter of a request, or all those of the preset that it names.
     ///
     /// # Errors
@@ -51,14 +45,10 @@ impl UploadFields {
     /// # Errors
     /// 400 that names it if it is invalid, or given twice, in either spelling.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
-        if name == VISIBILITY {
-            self.settings = std::mem::take(&mut self.settings).with_visibility(value)?;
-        } else if name == CLASS {
-            self.class = class_of(value).ok_or_else(|| Problem::parameter(CLASS, "must be interactive or batch"))?;
-        } else if name == TITLE {
-            self.settings = std::mem::take(&mut self.settings).with_title(value)?;
-        } else {
-            photo_options::set(&mut self.options, name, value)?;
+        match name {
+            TITLE | VISIBILITY => self.settings.set(name, &value.into())?,
+            CLASS => self.class = class_of(value).ok_or_else(|| Problem::parameter(CLASS, "must be interactive or batch"))?,
+            _ => _ = photo_options::set(&mut self.options, name, value)?,
         }
         if self.given.insert(name.replace('_', "-")) { Ok(()) } else { Err(Problem::parameter(name, "is given twice")) }
     }
@@ -89,7 +79,7 @@ pub fn check_name(name: &str, kinds: &str) -> Result<(), Problem> {
 /// # Errors
 /// 400 that names the invalid one, 403 that names an option.
 pub fn of_query(presets: &Presets, free: bool, query: &[(String, String)]) -> Result<UploadFields, Problem> {
-    let mut fields = UploadFields::new(free);
+    let mut fields = UploadFields { free, ..UploadFields::default() };
     for (name, value) in query {
         check_name(name, "option; there are preset, title, visibility, class")?;
         fields.take(presets, name, value)?;

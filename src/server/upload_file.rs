@@ -26,12 +26,10 @@ pub struct ReceivedFile {
 }
 
 impl ReceivedFile {
-    /// Reads it whole.
     pub fn read(&self) -> Result<Vec<u8>, Problem> {
         std::fs::read(&self.path.0).map_err(|e| Problem::store(&e))
     }
 
-    /// For the library.
     pub fn content(&self) -> Content {
         Content::of_file(self.path.0.clone(), self.bytes, self.digest.clone())
     }

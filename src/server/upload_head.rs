@@ -20,7 +20,6 @@ pub struct UploadHead {
 }
 
 impl UploadHead {
-    /// Nothing has come yet.
     pub fn new(maker: &Arc<dyn Maker>) -> Self {
         Self { maker: Arc::clone(maker), head: Vec::new(), needs: Some(LEAST) }
     }

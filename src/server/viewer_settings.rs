@@ -111,7 +111,6 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Settings of a photo.
     pub fn of(photo: &Photo) -> Self {
         serde_json::from_value(photo.settings.clone()).unwrap_or_else(|error| {
             tracing::error!(id = %photo.id, %error, "ignoring unreadable settings");
@@ -136,46 +135,33 @@ impl Settings {
         let Value::Object(patch) = patch else { return Err(Problem::bad_request("the body must be a JSON object")) };
         let mut new = self.clone();
         for (name, value) in patch {
-            match name.as_str() {
-                "version" if value.as_u64() == Some(VERSION.into()) => {}
-                "version" => return Err(Problem::parameter(name, format!("must be {VERSION}, not {value}"))),
-                "title" => new.title = optional(&value, |v| title(&name, v))?,
-                "motion" => new.motion = optional(&value, |v| offset(&name, v, self.motion, 1.0, 0.0))?,
-                "focus" => new.focus = optional(&value, |v| within(&name, v, [0.0, 1.0]))?,
-                "start" => new.start = optional(&value, |v| offset(&name, v, self.start, 0.0, -1.0))?,
-                "idle" => new.idle = optional(&value, |v| idle(&name, v))?,
-                "speed" => new.speed = optional(&value, |v| within(&name, v, SPEED))?,
-                "visibility" => new.visibility = optional(&value, |v| visibility(&name, v))?,
-                "poster" => new.poster = optional(&value, |v| offset(&name, v, self.poster, 0.0, -1.0))?,
-                _ => {
-                    let detail =
-                        "there is no such setting; there are version, title, motion, focus, start, idle, speed, visibility, poster";
-                    return Err(Problem::parameter(name, detail));
-                }
-            }
+            new.set(&name, &value)?;
         }
         Ok(new)
     }
 
-    /// These settings with the title of an upload.
+    /// Sets a field; null removes it.
     ///
     /// # Errors
-    /// [`Problem`] 400: not 1 to 200 characters, or a control character.
-    pub fn with_title(self, text: &str) -> Result<Self, Problem> {
-        Ok(Self { title: Some(title("title", &Value::from(text))?), ..self })
-    }
-
-    /// These settings with the visibility of an upload.
-    ///
-    /// # Errors
-    /// [`Problem`] 400: neither `private` nor `link`.
-    pub fn with_visibility(self, text: &str) -> Result<Self, Problem> {
-        Ok(Self { visibility: Some(visibility("visibility", &Value::from(text))?), ..self })
-    }
-
-    /// Query of the preview view; `None` if it is the thumbnail.
-    pub fn poster_query(&self, view_box: &ViewBox) -> Option<String> {
-        self.poster_pose(view_box).map(|pose| format!("{pose}w=640&format=jpeg"))
+    /// [`Problem`] 400 that names it: it is unknown, or its value is invalid.
+    pub fn set(&mut self, name: &str, value: &Value) -> Result<(), Problem> {
+        match name {
+            "version" if value.as_u64() == Some(VERSION.into()) => {}
+            "version" => return Err(Problem::parameter(name, format!("must be {VERSION}, not {value}"))),
+            "title" => self.title = optional(value, |v| title(name, v))?,
+            "motion" => self.motion = optional(value, |v| offset(name, v, self.motion, 1.0, 0.0))?,
+            "focus" => self.focus = optional(value, |v| within(name, v, [0.0, 1.0]))?,
+            "start" => self.start = optional(value, |v| offset(name, v, self.start, 0.0, -1.0))?,
+            "idle" => self.idle = optional(value, |v| idle(name, v))?,
+            "speed" => self.speed = optional(value, |v| within(name, v, SPEED))?,
+            "visibility" => self.visibility = optional(value, |v| visibility(name, v))?,
+            "poster" => self.poster = optional(value, |v| offset(name, v, self.poster, 0.0, -1.0))?,
+            _ => {
+                let detail = "there is no such setting; there are version, title, motion, focus, start, idle, speed, visibility, poster";
+                return Err(Problem::parameter(name, detail));
+            }
+        }
+        Ok(())
     }
 
     /// The camera of the preview view, as the start of a query; `None` if it is the photo's own.
@@ -343,7 +329,7 @@ mod tests {
             assert_eq!(title_of_file(file).as_deref(), title, "{file:?}");
         }
         let long = title_of_file(&"é".repeat(TITLE + 50)).unwrap();
-        assert!(Settings::default().with_title(&long).is_ok());
-        assert_eq!(Settings::default().with_title("a\u{7}").unwrap_err().field.as_deref(), Some("title"));
+        assert!(Settings::default().set("title", &long.into()).is_ok());
+        assert_eq!(Settings::default().set("title", &"a\u{7}".into()).unwrap_err().field.as_deref(), Some("title"));
     }
 }

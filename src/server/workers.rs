@@ -33,14 +33,12 @@ const PAUSE: Duration = Duration::from_millis(500);
 /// Time for jobs to end after they are cancelled.
 const END: Duration = Duration::from_secs(2);
 
-/// All workers of a server.
 pub struct Workers {
     tasks: Vec<JoinHandle<()>>,
     abort: Arc<AtomicBool>,
 }
 
 impl Workers {
-    /// Starts the workers.
     pub fn start(app: &App) -> Self {
         let abort = Arc::<AtomicBool>::default();
         let of = |count: usize, kinds| (0..count).map(move |_| kinds);
@@ -65,10 +63,8 @@ struct Doing {
     app: App,
     /// Set if the job is deleted or another worker has it.
     lost: Arc<AtomicBool>,
-    /// Set to abort jobs.
     abort: Arc<AtomicBool>,
     tell: UnboundedSender<Progress>,
-    /// The span of the job.
     span: Arc<JobSpan>,
 }
 

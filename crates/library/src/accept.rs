@@ -3,18 +3,21 @@
 use std::collections::BTreeMap;
 
 use serde_json::Value;
-use sqlx::AssertSqlSafe;
+use sqlx::{Any, AssertSqlSafe, Executor};
 
 use crate::Library;
 use crate::blobs::{Content, Contents};
 use crate::change_notifications::Event;
-use crate::error::{LibraryError, Result};
+use crate::error::{LibraryError, Quota, Result};
 use crate::ids::PhotoId;
 use crate::owner::Owner;
 use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, bytes_of, to_json};
 use crate::photos::locked_photo;
 use crate::queue::{JobKind, NewJob, Requester};
 use crate::remake::Remake;
+
+/// Number and bytes of an owner's photos.
+const USED: &str = "SELECT COUNT(*), CAST(COALESCE(SUM(bytes), 0) AS BIGINT) FROM photos WHERE owner = $1";
 
 /// A complete upload.
 #[derive(Debug)]
@@ -126,6 +129,28 @@ impl Library {
             Err(LibraryError::Changed) => Ok(Accepted { photo: self.get(upload.id).await?, outcome: Outcome::Known }),
             Err(error) => Err(error),
         }
+    }
+
+    /// Checks, before the bytes arrive, whether an owner may have one more photo of this size. [`Library::accept`] checks again.
+    pub async fn check_quota(&self, owner: &Owner, bytes: u64) -> Result<()> {
+        self.check_quota_on(self.database().reader(), owner, bytes).await
+    }
+
+    /// The same on a connection: that of the accepting transaction, with the owner's row locked.
+    async fn check_quota_on<'c>(&self, on: impl Executor<'c, Database = Any>, owner: &Owner, asked: u64) -> Result<()> {
+        let limits = self.limits();
+        if *owner == Owner::local_user() || (limits.quota_photos.is_none() && limits.quota_bytes.is_none()) {
+            return Ok(());
+        }
+        let (photos, bytes): (i64, i64) = sqlx::query_as(USED).bind(owner.as_str()).fetch_one(on).await?;
+        for (quota, used, asked, limit) in
+            [(Quota::Photos, photos as u64, 1, limits.quota_photos), (Quota::Bytes, bytes as u64, asked, limits.quota_bytes)]
+        {
+            if let Some(limit) = limit.filter(|limit| used.saturating_add(asked) > *limit) {
+                return Err(LibraryError::QuotaExceeded { quota, used, asked, limit });
+            }
+        }
+        Ok(())
     }
 
     /// Inserts a photo and its job.

@@ -58,7 +58,7 @@ impl Library {
     async fn keep(&self, lease: &Lease, details: &Value, blobs: Blobs) -> Result<(Photo, Vec<String>)> {
         let mut tx = self.database().write().await?;
         tx.lock_jobs(lease.job.photo).await?;
-        end(&mut tx, &lease.job, lease.token()).await?;
+        end(&mut tx, &lease.job, &lease.token).await?;
         let before = locked_photo(&mut tx, lease.job.photo).await?;
         let (old, mut all): (Blobs, Blobs) = before.blobs.into_iter().partition(|(part, _)| part.is_result());
         all.extend(blobs);
@@ -82,7 +82,7 @@ impl Library {
     /// Fails a job for good because of its photo or its parameters.
     pub async fn fail(&self, lease: &Lease, problem: &Problem) -> Result<()> {
         let mut tx = self.database().write().await?;
-        self.fail_in(&mut tx, &lease.job, lease.token(), problem).await?;
+        self.fail_in(&mut tx, &lease.job, &lease.token, problem).await?;
         tx.commit().await
     }
 
@@ -109,7 +109,7 @@ impl Library {
     /// Requeues a job.
     pub async fn retry(&self, lease: &Lease, why: &Retry) -> Result<()> {
         let mut tx = self.database().write().await?;
-        self.put_back(&mut tx, &lease.job, lease.token(), why).await?;
+        self.put_back(&mut tx, &lease.job, &lease.token, why).await?;
         tx.commit().await
     }
 

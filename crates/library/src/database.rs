@@ -39,7 +39,6 @@ enum Kind {
     Postgres,
 }
 
-/// Connections to the database.
 #[derive(Clone, Debug)]
 pub(crate) struct Database {
     kind: Kind,
@@ -201,7 +200,6 @@ impl Database {
     }
 }
 
-/// A transaction.
 #[derive(Debug)]
 pub(crate) struct Tx {
     inner: Transaction<'static, Any>,

@@ -115,7 +115,7 @@ impl Library {
              bytes = $2, used_at = $3 WHERE id = $4 AND lease_token = $5 RETURNING {COLUMNS}"
         );
         let update = sqlx::query_as(AssertSqlSafe(update)).bind(to_json(blob)?).bind(blob.bytes as i64).bind(tx.now);
-        let updated: Option<Job> = update.bind(&lease.job.id).bind(lease.token()).fetch_optional(tx.connection()).await?;
+        let updated: Option<Job> = update.bind(&lease.job.id).bind(&lease.token).fetch_optional(tx.connection()).await?;
         let job = updated.ok_or(LibraryError::LeaseLost)?;
         let gone = self.trim(&mut tx, &job.id).await?;
         record_duration(&mut tx, job.kind, lease.age()).await?;

@@ -29,18 +29,7 @@ const OTHER_WAY: u64 = 4;
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Tokens of this process's leases.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct OwnLeases(Arc<Mutex<HashSet<String>>>);
-
-impl OwnLeases {
-    fn hold(&self, token: &str) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(token.to_owned());
-    }
-
-    fn has(&self, token: &str) -> bool {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).contains(token)
-    }
-}
+pub(crate) type OwnLeases = Arc<Mutex<HashSet<String>>>;
 
 /// A worker's lease of a job. If dropped unfinished, another worker gets the job once the lease expires.
 #[derive(Debug)]
@@ -49,7 +38,8 @@ pub struct Lease {
     pub job: Job,
     /// The photo as it was when the job was taken.
     pub photo: Photo,
-    token: String,
+    /// An `UPDATE` of the job's row must match it.
+    pub(crate) token: String,
     lasts: Duration,
     taken: Instant,
     held: OwnLeases,
@@ -57,7 +47,7 @@ pub struct Lease {
 
 impl Drop for Lease {
     fn drop(&mut self) {
-        self.held.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.token);
+        self.held.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.token);
     }
 }
 
@@ -89,7 +79,7 @@ impl Library {
         let photo = self.read_photo(tx.connection(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
         tx.notify(Event::Photo(job.photo));
         // before the commit makes it visible
-        self.0.held.hold(&token);
+        self.0.held.lock().unwrap_or_else(PoisonError::into_inner).insert(token.clone());
         let lease = Lease { job, photo, token, lasts, taken: Instant::now(), held: self.0.held.clone() };
         tx.commit().await?;
         self.0.taken.fetch_add(1, Ordering::Relaxed);
@@ -127,7 +117,7 @@ impl Library {
         let mut jobs = Vec::new();
         for row in over.fetch_all(tx.connection()).await? {
             let token: String = row.try_get("lease_token")?;
-            if self.0.held.has(&token) {
+            if self.0.held.lock().unwrap_or_else(PoisonError::into_inner).contains(&token) {
                 continue;
             }
             match Job::from_row(&row) {
@@ -210,11 +200,6 @@ impl Lease {
     /// How long it lasts without renewal.
     pub const fn lasts(&self) -> Duration {
         self.lasts
-    }
-
-    /// The token, which an `UPDATE` of the job's row must match.
-    pub(crate) fn token(&self) -> &str {
-        &self.token
     }
 
     /// How long the job has run, by this process's clock.

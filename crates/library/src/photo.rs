@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use serde::de::value;
-use serde::de::{DeserializeOwned, IntoDeserializer as _};
+use serde::de::{DeserializeOwned, IntoDeserializer as _, value};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sqlx::any::AnyRow;
@@ -243,18 +242,15 @@ pub(crate) fn parsed<T: DeserializeOwned>(row: &AnyRow, column: &str) -> sqlx::R
     of_name(row.try_get(column)?)
 }
 
-/// A JSON column.
 pub(crate) fn json<T: DeserializeOwned>(row: &AnyRow, column: &str) -> sqlx::Result<T> {
     optional_json(row, column)?.ok_or_else(|| sqlx::Error::Decode(format!("{column}: it is null").into()))
 }
 
-/// A JSON column that may be null.
 pub(crate) fn optional_json<T: DeserializeOwned>(row: &AnyRow, column: &str) -> sqlx::Result<Option<T>> {
     let text: Option<&str> = row.try_get(column)?;
     text.map(|text| serde_json::from_str(text).map_err(|e| sqlx::Error::Decode(format!("{column}: {e}").into()))).transpose()
 }
 
-/// The text of a JSON column.
 pub(crate) fn to_json<T: Serialize>(value: &T) -> Result<String> {
     serde_json::to_string(value).map_err(|e| LibraryError::Internal(e.to_string()))
 }

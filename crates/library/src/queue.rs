@@ -74,12 +74,16 @@ pub struct Requester {
 }
 
 impl Requester {
-    /// The network of a single customer: 64 bits of IPv6.
     fn network(&self) -> Option<String> {
-        self.address.map(|address| match address.to_canonical() {
-            IpAddr::V6(v6) => Ipv6Addr::from(u128::from(v6) >> 64 << 64).to_string(),
-            IpAddr::V4(v4) => v4.to_string(),
-        })
+        self.address.map(|address| client_network(address).to_string())
+    }
+}
+
+/// The address that stands for a customer: an IPv6 customer has a whole /64 network.
+pub fn client_network(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(v6) => Ipv6Addr::from(u128::from(v6) >> 64 << 64).into(),
+        v4 @ IpAddr::V4(_) => v4,
     }
 }
 
@@ -145,7 +149,6 @@ impl FromRow<'_, AnyRow> for Job {
     }
 }
 
-/// A job to queue.
 pub(crate) struct NewJob<'a> {
     pub kind: JobKind,
     pub photo: PhotoId,
@@ -156,7 +159,6 @@ pub(crate) struct NewJob<'a> {
     pub requester: &'a Requester,
 }
 
-/// Id of a job.
 pub(crate) fn id_of(kind: JobKind, photo: PhotoId, key: Option<&str>) -> String {
     match (kind, key) {
         (JobKind::Export | JobKind::Film, Some(key)) => format!("export/{photo}/{key}"),

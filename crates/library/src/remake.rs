@@ -11,7 +11,6 @@ use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, bytes_of, to_
 use crate::photos::locked_photo;
 use crate::queue::{JobKind, NewJob, Requester};
 
-/// How to make a photo again.
 #[derive(Clone, Copy)]
 pub(crate) struct Remake<'a> {
     pub(crate) class: Class,

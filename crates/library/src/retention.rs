@@ -3,9 +3,8 @@
 
 use std::time::Duration;
 
-use crate::deliveries;
 use crate::photo::file_names;
-use crate::{Library, Millis, Result, millis, room_leases};
+use crate::{Library, Millis, Result, deliveries, millis, room_leases};
 
 /// Photos per query.
 const PART: i64 = 256;

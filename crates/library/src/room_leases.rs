@@ -30,7 +30,7 @@ impl Library {
             epoch = CASE WHEN excluded.epoch > rooms.epoch THEN excluded.epoch ELSE rooms.epoch + 1 END RETURNING epoch";
         let insert = sqlx::query_scalar(insert).bind(room).bind(address).bind(tx.now + millis(lasts)).bind(tx.now);
         let epoch = insert.fetch_one(tx.connection()).await?;
-        start(&mut tx, room).await?;
+        set_live(&mut tx, room, true).await?;
         tx.commit().await?;
         Ok(Origin { address: address.to_owned(), epoch })
     }
@@ -49,7 +49,7 @@ impl Library {
     pub async fn release_room(&self, room: &str, origin: &Origin) -> Result<()> {
         let mut tx = self.database().write().await?;
         set(&mut tx, room, origin, 0).await?;
-        end(&mut tx, room).await?;
+        set_live(&mut tx, room, false).await?;
         tx.commit().await
     }
 
@@ -59,14 +59,14 @@ impl Library {
         let insert = "INSERT INTO rooms (name, origin, epoch, lease_until, live) VALUES ($1, '', $2, 0, 0)
             ON CONFLICT (name) DO UPDATE SET origin = excluded.origin";
         sqlx::query(insert).bind(room).bind(tx.now).execute(tx.connection()).await?;
-        start(&mut tx, room).await?;
+        set_live(&mut tx, room, true).await?;
         tx.commit().await
     }
 
     /// Tells webhooks that the publisher of such a room has left for good.
     pub async fn end_room(&self, room: &str) -> Result<()> {
         let mut tx = self.database().write().await?;
-        end(&mut tx, room).await?;
+        set_live(&mut tx, room, false).await?;
         tx.commit().await
     }
 
@@ -85,16 +85,7 @@ async fn set(tx: &mut Tx, room: &str, origin: &Origin, lasts: i64) -> Result<()>
     is_held(&update.bind(room).bind(origin.epoch).execute(tx.connection()).await?)
 }
 
-/// Announces that a room is live, unless it was.
-async fn start(tx: &mut Tx, room: &str) -> Result<()> {
-    set_live(tx, room, true).await
-}
-
-/// Announces that a room is live no more, unless it was not.
-async fn end(tx: &mut Tx, room: &str) -> Result<()> {
-    set_live(tx, room, false).await
-}
-
+/// Announces that a room is live, or live no more, unless that is known.
 async fn set_live(tx: &mut Tx, room: &str, live: bool) -> Result<()> {
     let event = if live { EventType::RoomStarted } else { EventType::RoomEnded };
     let update = sqlx::query("UPDATE rooms SET live = $1 WHERE name = $2 AND live <> $1").bind(i64::from(live)).bind(room);
@@ -118,7 +109,7 @@ pub(crate) async fn end_abandoned(tx: &mut Tx) -> Result<()> {
 async fn end_of(tx: &mut Tx, select: &'static str, until: i64) -> Result<()> {
     let rooms: Vec<String> = sqlx::query_scalar(select).bind(until).fetch_all(tx.connection()).await?;
     for room in rooms {
-        end(tx, &room).await?;
+        set_live(tx, &room, false).await?;
     }
     Ok(())
 }

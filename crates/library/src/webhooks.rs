@@ -136,7 +136,6 @@ pub struct WebhookChange {
     pub enabled: Option<bool>,
 }
 
-/// Names of events in a column.
 fn names_of(events: &[EventType]) -> String {
     events.iter().map(|event| event.name()).collect::<Vec<_>>().join(",")
 }

@@ -13,11 +13,9 @@ use tmpi_pipeline::networks::models::{self, Settings};
 /// The effective value of an option.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::cli) struct Effect {
-    /// The option's long name.
     pub option: &'static str,
     /// The effective value, if it differs from the given value or the default.
     pub value: Option<String>,
-    /// A remark.
     pub note: Option<String>,
 }
 

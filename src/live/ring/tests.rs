@@ -130,12 +130,9 @@ fn frames_that_may_refer_to_a_dropped_frame_are_dropped() {
     let mut cursor = ring.begin(now);
     ring.push(MessageKind::Key, message(0, 100), now);
     // a frame of layer 1 far from the end, and the next near it
-    ring.push(MessageKind::Frame { layer: 1 }, message(1, 100), now);
-    ring.push(MessageKind::Frame { layer: 2 }, message(2, 600_000), now);
-    ring.push(MessageKind::Frame { layer: 1 }, message(3, 100), now);
-    ring.push(MessageKind::Frame { layer: 0 }, message(4, 100), now);
-    ring.push(MessageKind::Frame { layer: 2 }, message(5, 100), now);
-    ring.push(MessageKind::Frame { layer: 1 }, message(6, 100), now);
+    for (n, layer, length) in [(1, 1, 100), (2, 2, 600_000), (3, 1, 100), (4, 0, 100), (5, 2, 100), (6, 1, 100)] {
+        ring.push(MessageKind::Frame { layer }, message(n, length), now);
+    }
     assert_eq!(read(&ring, &mut cursor, now), [0, 4, 5, 6]);
     assert_eq!(cursor.skipped, 3);
 }

@@ -32,7 +32,6 @@ pub fn owner_of_secret(text: &str) -> Option<Owner> {
     fits.then(|| Owner::of_secret(text))
 }
 
-/// A caller.
 pub enum Caller {
     /// This machine's own user.
     LocalUser,

@@ -25,7 +25,6 @@ fn is_tls(headers: &HeaderMap) -> bool {
     origin(headers).is_some_and(|o| o.starts_with("https:"))
 }
 
-/// The value of a cookie.
 pub fn cookie(headers: &HeaderMap, [plain, tls]: Cookie) -> Option<&str> {
     let name = if is_tls(headers) { tls } else { plain };
     let all = headers.get_all(header::COOKIE).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(';'));

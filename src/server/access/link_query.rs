@@ -15,7 +15,6 @@ const ID_DIGITS: usize = 8;
 /// Beginning of addresses that can be signed alone. A page needs all of its photo.
 const ALONE: &str = "/v1/photos/";
 
-/// A link in a URL.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UrlLink {
     /// Expiry and signature.
@@ -61,7 +60,6 @@ impl UrlLink {
     }
 }
 
-/// A link as a URL query.
 pub fn query_of(UrlLink { link, key, .. }: &UrlLink) -> String {
     let key = key.as_ref().map(|key| format!("key={key}&")).unwrap_or_default();
     format!("{key}expires={}&signature={}", link.expires, link.signature())

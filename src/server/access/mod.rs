@@ -218,7 +218,6 @@ impl Guard {
         Ok((self.of_cookie(headers).await?, token))
     }
 
-    /// The caller by its owner cookie.
     async fn of_cookie(&self, headers: &HeaderMap) -> Result<Caller, Problem> {
         let Some(kept) = cookie(headers, self.owner_cookie()) else { return Ok(Caller::Anonymous) };
         Ok(self.owner_of(kept).await?.map_or(Caller::Anonymous, |owner| Caller::Owner(owner, kept.to_owned())))
@@ -319,11 +318,6 @@ impl Guard {
         admission().is_some_and(|come| come.caller.is_admin())
     }
 
-    /// Id of an owner's photo whose content hashes to `content`.
-    pub fn id(&self, owner: &Owner, content: PhotoId) -> PhotoId {
-        self.library.secret().photo_id(Some(owner), content)
-    }
-
     /// Query of a link that can read a photo until `expires`, in seconds since 1970.
     pub fn query(&self, photo: &Photo, expires: u64) -> String {
         query_of(&self.library.secret().sign(Grant::View, Subject::Photo(photo), expires).into())
@@ -335,7 +329,6 @@ impl Guard {
         self.base.at(&format!("/view/{}#manage={}", photo.id, token_of(&link)))
     }
 
-    /// The owner's cookie.
     const fn owner_cookie(&self) -> Cookie {
         if self.base.is_empty() { OWNER } else { OWNER_BELOW }
     }

@@ -3,7 +3,6 @@
 
 use tmpi_library::Link;
 
-/// Prefix of a token.
 const PREFIX: &str = "tmpi_m_";
 
 /// The link that a token encodes; `None` if the text has not the form of a token.
@@ -11,7 +10,6 @@ pub fn link_of(token: &str) -> Option<Link> {
     Link::of_signature(u64::MAX, token.strip_prefix(PREFIX)?)
 }
 
-/// The token that encodes a link.
 pub fn token_of(link: &Link) -> String {
     format!("{PREFIX}{}", link.signature())
 }

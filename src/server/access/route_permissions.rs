@@ -4,7 +4,6 @@ use axum::http::Method;
 
 use crate::server::problem::Problem;
 
-/// What a request needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Permission {
     /// Nothing: pages, their files, health.
@@ -19,9 +18,7 @@ pub enum Permission {
     Upload,
     /// The right to list the caller's photos.
     List,
-    /// The right to read the server's metrics.
     Metrics,
-    /// Administration of the server.
     Admin,
     /// A room, which checks its own tokens.
     Room,

@@ -14,7 +14,6 @@ use tmpi_pipeline::Report;
 /// Longest line, and largest file.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// Work for a process.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub enum Work {
     /// Make a photo with these options. Files: the strokes, the photo, and its depth map if it has one.
@@ -23,7 +22,6 @@ pub enum Work {
     Write(String),
 }
 
-/// An answer of a process.
 #[derive(Serialize, Deserialize)]
 pub enum Answer {
     /// A stage begins; more answers follow.
@@ -36,7 +34,6 @@ pub enum Answer {
     Fault(Fault),
 }
 
-/// Writes a message with its files.
 pub fn write(to: &mut impl Write, message: &impl Serialize, files: &[impl AsRef<[u8]>]) -> io::Result<()> {
     let lengths: Vec<usize> = files.iter().map(|file| file.as_ref().len()).collect();
     let mut line = serde_json::to_vec(&(message, lengths))?;
@@ -46,7 +43,6 @@ pub fn write(to: &mut impl Write, message: &impl Serialize, files: &[impl AsRef<
     to.flush()
 }
 
-/// Reads a message with its files.
 pub fn read<M: DeserializeOwned>(from: &mut impl BufRead) -> io::Result<(M, Vec<Vec<u8>>)> {
     let mut line = Vec::new();
     from.by_ref().take(MAX_BYTES).read_until(b'\n', &mut line)?;

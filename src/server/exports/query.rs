@@ -46,7 +46,6 @@ impl ExportQuery {
         Ok(Self { format, shape, textures, version: pairs.take("v") })
     }
 
-    /// Options of a model.
     pub const fn model(&self) -> ModelOptions {
         ModelOptions { shape: self.shape, textures: self.textures }
     }

@@ -26,12 +26,7 @@ const CHEAP: u64 = 16 << 20;
 #[derive(Clone, Debug, PartialEq)]
 pub enum Recipe {
     /// The photo in another format.
-    File {
-        /// Format.
-        format: ExportFormat,
-        /// Options of a model.
-        model: ModelOptions,
-    },
+    File { format: ExportFormat, model: ModelOptions },
     /// A film along a path of the camera, with frames of this size.
     Film(Box<ViewQuery>, (u32, u32)),
 }

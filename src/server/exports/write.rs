@@ -9,8 +9,7 @@ use crate::server::maker::Fault;
 use crate::server::problem::Problem;
 use crate::server::routes::ViewQuery;
 use axum::http::StatusCode;
-use tmpi_core::Scene;
-use tmpi_core::container;
+use tmpi_core::{Scene, container};
 use tmpi_pipeline::Sink;
 use tmpi_render::{Animation, DEFAULT_QUALITY, MotionRange, Renderer, draw_multiview};
 
@@ -22,13 +21,10 @@ pub type Drawing<'a> = &'a (dyn Fn() -> Result<Arc<dyn Renderer>, String> + Sync
 
 /// An export file to write.
 pub struct ExportTask<'a> {
-    /// Its recipe.
     pub recipe: &'a Recipe,
-    /// The photo's container.
     pub container: &'a [u8],
     /// The renderer for films in this process.
     pub drawing: Drawing<'a>,
-    /// Whether it has low priority.
     pub is_low_priority: bool,
 }
 

@@ -83,7 +83,6 @@ impl Listener {
         }
     }
 
-    /// Whether the client still has access.
     async fn is_allowed(&self, photo: Option<&Photo>) -> bool {
         let (Some(guard), Some(pass)) = (&self.app.guard, &self.pass) else { return self.app.guard.is_none() };
         match photo {

@@ -20,9 +20,8 @@ use crate::server::exports::Recipe;
 use crate::server::finished_photo::FinishedPhoto;
 use crate::server::presets::PRESET;
 use crate::server::problem::Problem;
-use crate::server::program_digest;
-use crate::server::request_body;
 use crate::server::timestamps::rfc3339;
+use crate::server::{program_digest, request_body};
 use tmpi_library::{Class, Job, JobKind, JobState, LibraryError, NewExport, Part, Photo, QueueLimit};
 
 /// Most bytes of the parameters.
@@ -229,7 +228,6 @@ fn recipe_of(job: &Job) -> &str {
         (status = 200, description = "It is written, or could not be", body = ExportState),
         (status = 202, description = "It waits, or is being written", body = ExportState,
             headers(("Retry-After" = u64, description = "Seconds"))),
-        (status = 404, description = "There is no such file"),
     )
 )]
 pub async fn state(State(app): State<App>, _: NoQuery, file: OrderedFile) -> Response {
@@ -252,7 +250,6 @@ pub async fn state(State(app): State<App>, _: NoQuery, file: OrderedFile) -> Res
             (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "image/png"), (String = "application/zip"),
             (String = "image/webp"), (String = "video/mp4"))),
         (status = 304, description = "The client has it"),
-        (status = 404, description = "There is no such file"),
         (status = 409, description = "It is not written yet"),
         (status = 416, description = "There are no such bytes"),
     )
@@ -289,7 +286,6 @@ pub async fn file(State(app): State<App>, _: NoQuery, file: OrderedFile, headers
     delete, path = "/v1/photos/{id}/exports/{key}", tag = "photos", operation_id = "export_cancel",
     responses(
         (status = 204, description = "Cancelled or deleted"),
-        (status = 404, description = "There is no such file"),
     )
 )]
 pub async fn cancel(State(app): State<App>, _: NoQuery, file: OrderedFile) -> Result<StatusCode, Problem> {

@@ -5,7 +5,7 @@ use axum::extract::{Request, State};
 use axum::http::{StatusCode, Uri};
 use serde::Serialize;
 
-use super::query::Pairs;
+use super::query::{Pairs, decode};
 use crate::server::app_state::App;
 use crate::server::link_preview::PreviewCard;
 use crate::server::problem::Problem;
@@ -69,7 +69,10 @@ pub struct OEmbed {
     )
 )]
 pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEmbed>, Problem> {
-    let pairs = Pairs::read_some(request.uri(), &["url", "maxwidth", "maxheight", "format"])?;
+    let names = ["url", "maxwidth", "maxheight", "format"];
+    let mut given = decode(request.uri())?;
+    given.retain(|(name, _)| names.contains(&name.as_str()));
+    let pairs = Pairs::of(given, &names)?;
     if let Some(other) = pairs.get("format").filter(|f| *f != "json") {
         return Err(Problem::new(StatusCode::NOT_IMPLEMENTED, "format", format!("the answer is JSON, not {other:?}")).field("format"));
     }

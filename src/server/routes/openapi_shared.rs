@@ -4,8 +4,12 @@ use serde_json::{Value, json};
 
 use crate::server::problem::MEDIA_TYPE;
 
-/// Errors of routes whose paths start alike, unless a route describes the status itself.
-const ERRORS: [[&str; 3]; 4] = [
+/// Errors of routes whose paths start alike, unless a route describes the status itself; the first one counts.
+const ERRORS: [[&str; 3]; 8] = [
+    ["/v1/live/{room}", "400", "A parameter is unknown"],
+    ["/v1/live/{room}", "403", "No valid token: a page of another site always needs one"],
+    ["/v1/live/{room}", "404", "The name is invalid, or rooms are disabled"],
+    ["/v1/photos/{id}/exports/{key}", "404", "There is no such file"],
     ["/", "400", "A parameter is unknown or given twice, or there is a body that the route does not take"],
     ["/v1/photos/{id}", "404", "There is no such photo"],
     ["/v1/webhooks", "403", "The caller is no owner"],

@@ -163,7 +163,8 @@ impl PhotoState {
     /// The part of the state that the photo's row holds.
     fn of_row(app: &AppState, photo: &Photo) -> Self {
         let (settings, done) = (Settings::of(photo), FinishedPhoto::of(photo));
-        let poster = settings.poster_query(&photo_options::view_box_of(&photo.options)).map(|query| format!("/view?{query}"));
+        let pose = settings.poster_pose(&photo_options::view_box_of(&photo.options));
+        let poster = pose.map(|pose| format!("/view?{pose}w=640&format=jpeg"));
         let at = |part: &str| app.base.at(&format!("/v1/photos/{}{part}", photo.id));
         let version = done.as_ref().map(|done| app.version(done));
         // content at such an address never changes, so browsers need not revalidate

@@ -18,12 +18,11 @@ use crate::server::conditional::{Entity, check_if_match, insert, respond, respon
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use crate::server::program_digest::short;
-use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload_by_address::SourceOrder;
 use crate::server::viewer_settings::{PATCH_BYTES, Settings};
-use crate::server::{upload, upload_by_address};
-use tmpi_library::{Cursor, Event, LibraryError, Owner, Page, Part, Photo, PhotoState as Phase};
+use crate::server::{request_body, upload, upload_by_address};
+use tmpi_library::{Cursor, Event, LibraryError, Page, Part, Photo, PhotoState as Phase};
 use tmpi_pipeline::networks::models::registry::better_than;
 
 /// Part of the time limit of a request that is left to answer it.
@@ -133,7 +132,8 @@ pub struct UploadForm {
 pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimit>, request: Request) -> Result<Response, Problem> {
     let wait = prefer_wait(request.headers());
     let query = decode(request.uri())?;
-    let (owner, is_new) = uploader(&app)?;
+    let uploader = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?;
+    let (owner, is_new) = uploader.map_or((None, false), |(owner, is_new)| (Some(owner), is_new));
     // before the body comes
     if let Some(owner) = &owner {
         app.library.check_quota(owner, length_told(request.headers())).await?;
@@ -149,12 +149,6 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimi
 /// Bytes of the body, as far as that is told.
 fn length_told(headers: &HeaderMap) -> u64 {
     headers.get(CONTENT_LENGTH).and_then(|v| v.to_str().ok()).and_then(|v| v.parse().ok()).unwrap_or_default()
-}
-
-/// The owner of a new photo if access is private, and whether this request created that owner.
-fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
-    let uploader = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?;
-    Ok(uploader.map_or((None, false), |(owner, is_new)| (Some(owner), is_new)))
 }
 
 /// The state of a queued photo with the status `done` if it is made within the time of `Prefer: wait` and of the request, its problem if it

@@ -33,16 +33,6 @@ impl Pairs {
         Self::of(decode(uri)?, names)
     }
 
-    /// Like [`Pairs::read`], but ignores parameters with other names.
-    ///
-    /// # Errors
-    /// 400 that names the first parameter that is given twice.
-    pub fn read_some(uri: &Uri, names: &[&str]) -> Result<Self, Problem> {
-        let mut pairs = decode(uri)?;
-        pairs.retain(|(name, _)| names.contains(&name.as_str()));
-        Self::of(pairs, names)
-    }
-
     /// Like [`Pairs::read`], for parameters that are parsed already.
     pub fn of(pairs: Vec<(String, String)>, names: &[&str]) -> Result<Self, Problem> {
         let mut given = BTreeMap::new();
@@ -58,12 +48,10 @@ impl Pairs {
         Ok(Self(given))
     }
 
-    /// The value of a parameter.
     pub fn get(&self, name: &str) -> Option<&str> {
         self.0.get(name).map(String::as_str)
     }
 
-    /// Takes the value of a parameter.
     pub fn take(&mut self, name: &str) -> Option<String> {
         self.0.remove(name)
     }
@@ -74,13 +62,11 @@ impl Pairs {
         self.get(name).map(|text| parse(text).ok_or_else(|| wrong(text))).transpose()
     }
 
-    /// The choice in a parameter.
     pub fn choice<T: ValueEnum>(&self, name: &str) -> Result<Option<T>, Problem> {
         let all: Vec<String> = T::value_variants().iter().map(value_name).collect();
         self.parse(name, &format!("one of {}", all.join(", ")), |text| T::from_str(text, false).ok())
     }
 
-    /// The number in a parameter.
     pub fn number<T: FromStr + PartialOrd + Display>(&self, name: &str, range: &RangeInclusive<T>) -> Result<Option<T>, Problem> {
         let allowed = format!("from {} to {}", range.start(), range.end());
         self.parse(name, &allowed, |text| text.parse().ok().filter(|number| range.contains(number)))

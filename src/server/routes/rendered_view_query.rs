@@ -37,11 +37,8 @@ const USUAL_SIDE: u32 = 640;
 /// A camera that moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FilmOptions {
-    /// Its path.
     pub path: Path,
-    /// Number of frames.
     pub frames: u32,
-    /// File format.
     pub format: AnimationFormat,
 }
 
@@ -257,7 +254,6 @@ impl ViewQuery {
         Self { w: None, h: None, format: None, version: None, ..self.clone() }
     }
 
-    /// The camera.
     pub fn camera(&self, scene: &Scene, (width, height): (u32, u32)) -> Camera {
         let of = |v: Option<f64>| v.unwrap_or(0.0);
         let pose =

@@ -17,8 +17,7 @@ use crate::server::conditional::{Entity, respond, respond_uncached};
 use crate::server::metrics::{MEDIA_TYPE, Metric};
 use crate::server::problem::Problem;
 use tmpi_library::Class::Batch;
-use tmpi_library::hex;
-use tmpi_library::{JobKind, PhotoState as Phase};
+use tmpi_library::{JobKind, PhotoState as Phase, hex};
 
 /// Health of the server.
 #[derive(Serialize, utoipa::ToSchema)]

@@ -14,10 +14,9 @@ use super::webhook_state::{DeliveryList, DeliveryRecord, WebhookList, WebhookOrd
 use crate::server::access::Guard;
 use crate::server::app_state::{App, AppState};
 use crate::server::conditional::insert;
-use crate::server::outbound;
 use crate::server::problem::Problem;
-use crate::server::request_body;
 use crate::server::webhooks::{SigningSecret, event_types};
+use crate::server::{outbound, request_body};
 use tmpi_library::{EventType, LibraryError, NewWebhook, Owner, Webhook, WebhookChange};
 
 /// Most bytes of a webhook's fields.
@@ -26,13 +25,8 @@ const MOST: usize = 16 << 10;
 const USUAL_PAGE: usize = 50;
 const MAX_PAGE: usize = 200;
 
-/// Whose webhooks a caller manages.
-enum Whose {
-    /// Those for all photos; it sees all.
-    All,
-    /// Those of one owner.
-    Of(Owner),
-}
+/// Whose webhooks a caller manages; `None` for those of all owners and for all photos.
+struct Whose(Option<Owner>);
 
 impl Whose {
     /// The caller's.
@@ -42,18 +36,11 @@ impl Whose {
     fn of(app: &AppState, headers: &HeaderMap) -> Result<Self, Problem> {
         let refused = |kind, detail| Err(Problem::new(StatusCode::FORBIDDEN, kind, detail));
         match (&app.guard, Guard::owner()) {
-            (None, _) if app.hosts.is_own(headers) => Ok(Self::All),
+            (None, _) if app.hosts.is_own(headers) => Ok(Self(None)),
             (None, _) => refused("not-yours", "only this machine's own user can manage webhooks, at a loopback address"),
-            (Some(_), _) if Guard::is_admin() => Ok(Self::All),
-            (Some(_), Some(owner)) => Ok(Self::Of(owner)),
+            (Some(_), _) if Guard::is_admin() => Ok(Self(None)),
+            (Some(_), Some(owner)) => Ok(Self(Some(owner))),
             (Some(_), None) => refused("no-owner", "only a caller with a key or an owner's secret has webhooks"),
-        }
-    }
-
-    const fn owner(&self) -> Option<&Owner> {
-        match self {
-            Self::All => None,
-            Self::Of(owner) => Some(owner),
         }
     }
 
@@ -67,7 +54,7 @@ impl Whose {
             LibraryError::NotFound(_) => none(),
             error => error.into(),
         })?;
-        if self.owner().is_none_or(|owner| webhook.owner.as_ref() == Some(owner)) { Ok(webhook) } else { Err(none()) }
+        if self.0.is_none() || webhook.owner == self.0 { Ok(webhook) } else { Err(none()) }
     }
 }
 
@@ -126,7 +113,7 @@ pub async fn add(State(app): State<App>, _: NoQuery, headers: HeaderMap, request
             text.to_owned()
         }
     };
-    let webhook = app.library.add_webhook(whose.owner(), &NewWebhook { url, secret, events }).await?;
+    let webhook = app.library.add_webhook(whose.0.as_ref(), &NewWebhook { url, secret, events }).await?;
     let secret = Some(webhook.secret.clone());
     let mut state = WebhookState::from(webhook);
     state.secret = secret;
@@ -155,7 +142,7 @@ fn own(body: impl Serialize) -> Response {
 )]
 pub async fn list(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
     let whose = Whose::of(&app, &headers)?;
-    let webhooks = app.library.webhooks(whose.owner()).await?;
+    let webhooks = app.library.webhooks(whose.0.as_ref()).await?;
     Ok(own(WebhookList { webhooks: webhooks.into_iter().map(WebhookState::from).collect() }))
 }
 

@@ -10,16 +10,8 @@ use crate::server::outbound::{self, AddressPolicy};
 
 /// A webhook of the configuration. It may have any address.
 #[derive(Clone, Debug)]
-pub struct ConfiguredWebhook(NewWebhook);
+pub struct ConfiguredWebhook(pub(in crate::server) NewWebhook);
 
-impl ConfiguredWebhook {
-    /// As the library stores it.
-    pub const fn stored(&self) -> &NewWebhook {
-        &self.0
-    }
-}
-
-/// Its fields.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Fields {
@@ -67,9 +59,9 @@ mod tests {
         let secret = format!("whsec_{}", "A".repeat(32));
         let read = |text: &str| text.replace("SECRET", &secret).parse::<ConfiguredWebhook>();
         let one = read(r#"{"url": "http://127.0.0.1:9/x", "secret": "SECRET", "events": ["photo.done", "photo.done"]}"#).unwrap();
-        assert_eq!((one.stored().url.as_str(), one.stored().events.len()), ("http://127.0.0.1:9/x", 1));
+        assert_eq!((one.0.url.as_str(), one.0.events.len()), ("http://127.0.0.1:9/x", 1));
         assert!(!format!("{one:?}").contains("AAAA"));
-        assert_eq!(read(r#"{"url": "http://a", "secret": "SECRET"}"#).unwrap().stored().events.len(), 7);
+        assert_eq!(read(r#"{"url": "http://a", "secret": "SECRET"}"#).unwrap().0.events.len(), 7);
         for (wrong, word) in [
             (r#"{"url": "ftp://a", "secret": "SECRET"}"#, "url"),
             (r#"{"url": "http://a", "secret": "SECRE"}"#, "secret"),

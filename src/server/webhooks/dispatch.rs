@@ -24,7 +24,6 @@ const LOOK: Duration = Duration::from_secs(1);
 const MAX_ANSWER: usize = 16 << 10;
 const REST: Duration = Duration::from_secs(1);
 
-/// Clients for webhooks.
 pub struct Clients {
     /// Of callers.
     named: Outbound,
@@ -38,7 +37,6 @@ impl Clients {
         Self { named: Outbound::new(reach), configured: Outbound::new(AddressPolicy::Any) }
     }
 
-    /// Makes an attempt.
     async fn send(&self, due: &DueDelivery, seconds: u64, app: &App) -> Attempt {
         let begun = Instant::now();
         let sent = tokio::time::timeout(PATIENCE, self.post(due, seconds, app)).await;
@@ -47,7 +45,8 @@ impl Clients {
         match sent {
             Ok(answer) => {
                 let attempt = judged(&answer, took);
-                drain(answer).await;
+                // the rest of one that is short
+                let _ = tokio::time::timeout(REST, Limited::new(Body::from(answer), MAX_ANSWER).collect()).await;
                 attempt
             }
             Err(error) => Attempt { verdict: Verdict::Refused(None), status: None, error: Some(error), took },
@@ -89,11 +88,6 @@ fn judged(answer: &Response, took: Duration) -> Attempt {
 fn retry_after(answer: &Response) -> Option<Duration> {
     let seconds = answer.headers().get(header::RETRY_AFTER)?.to_str().ok()?.trim().parse().ok()?;
     Some(Duration::from_secs(seconds))
-}
-
-/// Reads the rest of an answer that is short.
-async fn drain(answer: Response) {
-    let _ = tokio::time::timeout(REST, Limited::new(Body::from(answer), MAX_ANSWER).collect()).await;
 }
 
 /// Sends deliveries until the server stops: those that are due at the start, those that events announce, and those to try again.

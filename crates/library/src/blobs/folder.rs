@@ -77,7 +77,6 @@ pub(crate) trait Files: Debug + Send + Sync + 'static {
     fn disk_space(&self, path: &Path) -> Option<DiskSpace>;
 }
 
-/// The file system.
 #[derive(Debug)]
 pub(crate) struct Disk;
 
@@ -162,7 +161,6 @@ pub(crate) fn create_private(path: &Path) -> Result<()> {
     Disk.create_dir(path).map_err(|e| LibraryError::Invalid(format!("the folder {} cannot be made: {e}", path.display())))
 }
 
-/// A folder of blobs.
 #[derive(Clone, Debug)]
 pub(super) struct Folder {
     files: Arc<dyn Files>,

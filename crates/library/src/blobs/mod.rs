@@ -315,7 +315,6 @@ impl BlobStore {
         on_either!(self, store => store.list(prefix).await)
     }
 
-    /// The store's time.
     pub(crate) async fn now(&self) -> Result<Millis> {
         let name = format!("{PROBE}/{}", hex(&random::<8>()?));
         self.put(name.clone(), Bytes::from_static(b"now")).await?;

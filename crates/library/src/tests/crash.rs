@@ -123,7 +123,6 @@ async fn an_interrupted_deletion_is_atomic(bed: Bed) {
     panic!("it never completes");
 }
 
-/// The next pseudorandom number.
 fn random(seed: &mut u64) -> u32 {
     *seed ^= *seed << 13;
     *seed ^= *seed >> 7;
