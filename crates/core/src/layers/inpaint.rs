@@ -40,16 +40,13 @@ type Region = (Range<usize>, Range<usize>);
 impl<'a> Inpainter<'a> {
     /// Computes the visible surface, and excludes pixels that touch a nearer surface.
     pub fn new(photo: &'a Photo, geometry: &Geometry) -> Self {
-        Self::with_surface(geometry.grid, geometry.surface(), &photo.rgb)
+        let mut sources = geometry.surface();
+        sources.exclude_mixed();
+        Self::with_sources(geometry.grid, sources, &photo.rgb)
     }
 
-    /// Like [`Inpainter::new`] for some rows of the photo whose visible `surface` is known; `rgb` has the pixels of the same rows.
-    pub fn with_surface(grid: Grid, mut surface: Surface, rgb: &'a [[u8; 3]]) -> Self {
-        surface.exclude_mixed();
-        Self::with_sources(grid, surface, rgb)
-    }
-
-    /// Like [`Inpainter::with_surface`] for a surface from which mixed pixels are already excluded.
+    /// Like [`Inpainter::new`] for some rows of the photo. `sources` is their visible surface, from which mixed pixels are already excluded;
+    /// `rgb` has the pixels of the same rows.
     pub(crate) const fn with_sources(grid: Grid, sources: Surface, rgb: &'a [[u8; 3]]) -> Self {
         Self { rgb, grid, sources }
     }

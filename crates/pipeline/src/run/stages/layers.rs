@@ -1,7 +1,7 @@
 //! Layers of all tiles: masks and colours, and their refinement by a network.
 
 use tmpi_core::container::{EncodedPhoto, HiddenCodec, OptionalSections, PhotoFormat};
-use tmpi_core::{DisparityMap, Geometry, Photo, TexturedLayer, texture};
+use tmpi_core::{DisparityMap, Geometry, Photo, TexturedLayer, Uncoloured};
 
 use super::{Placed, Prepared};
 use crate::layers::{self, refine};
@@ -40,20 +40,20 @@ impl Stage for Layers {
         let (prepared, Placed { mut geometry, placement }, delta) = input;
         // the container stores the alphas of Ψ, whereas readers derive mattes from the photo
         geometry.matted = !refined(context);
-        // encoding the photo uses one core; beside the masks, which use all cores, it adds little wall time
+        // encoding the photo uses one core; beside all that does not depend on colours and uses all cores, it adds little wall time
         let uploaded = prepared.uploaded.take();
         let file = || {
             let file = choose_file(uploaded, prepared.format, &prepared.photo, context.options.quality)?;
             Ok::<_, MakeError>((file.decode()?, file))
         };
-        let masks = || {
+        let uncoloured = || {
             layers::add_backgrounds(&mut geometry, delta);
-            geometry.masks()
+            Uncoloured::of(&geometry)
         };
-        let (masks, file) = rayon::join(masks, file);
+        let (uncoloured, file) = rayon::join(uncoloured, file);
         let (photo, photo_file) = file?;
         // mattes depend on the colours, so the layers are those of readers only with the colours that readers see
-        let tiles = texture(&photo, &geometry, masks);
+        let tiles = uncoloured.texture(&photo, &geometry);
         count(&mut context.report, &geometry, &tiles, &placement);
         Ok(Layered { geometry, tiles, photo_file, photo, optional: OptionalSections::default() })
     }
