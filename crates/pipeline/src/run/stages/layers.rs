@@ -108,9 +108,6 @@ fn count(report: &mut Report, geometry: &Geometry, tiles: &[Vec<TexturedLayer>],
 
 /// The photo's file for the container: the uploaded file, if it is no larger than a new one at `quality`.
 fn choose_file(uploaded: Option<Vec<u8>>, format: PhotoFormat, photo: &Photo, quality: u8) -> Result<EncodedPhoto, MakeError> {
-    let anew = EncodedPhoto::from_photo(photo, quality)?;
-    Ok(match uploaded {
-        Some(bytes) if bytes.len() <= anew.bytes.len() => EncodedPhoto { bytes, format },
-        _ => anew,
-    })
+    let Some(bytes) = uploaded else { return Ok(EncodedPhoto::from_photo(photo, quality)?) };
+    Ok(EncodedPhoto::shorter_than(bytes.len(), photo, quality)?.unwrap_or(EncodedPhoto { bytes, format }))
 }
