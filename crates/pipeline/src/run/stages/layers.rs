@@ -42,16 +42,13 @@ impl Stage for Layers {
         geometry.matted = !refined(context);
         // encoding the photo uses one core; beside all that does not depend on colours and uses all cores, it adds little wall time
         let uploaded = prepared.uploaded.take();
-        let file = || {
-            let file = choose_file(uploaded, prepared.format, &prepared.photo, context.options.quality)?;
-            Ok::<_, MakeError>((file.decode()?, file))
-        };
+        let file = || ChosenFile::choose(uploaded, prepared.format, &prepared.photo, context.options.quality);
         let uncoloured = || {
             layers::add_backgrounds(&mut geometry, delta);
             Uncoloured::of(&geometry)
         };
         let (uncoloured, file) = rayon::join(uncoloured, file);
-        let (photo, photo_file) = file?;
+        let ChosenFile { file: photo_file, photo } = file?;
         // mattes depend on the colours, so the layers are those of readers only with the colours that readers see
         let tiles = uncoloured.texture(&photo, &geometry);
         count(&mut context.report, &geometry, &tiles, &placement);
@@ -106,8 +103,39 @@ fn count(report: &mut Report, geometry: &Geometry, tiles: &[Vec<TexturedLayer>],
     };
 }
 
-/// The photo's file for the container: the uploaded file, if it is no larger than a new one at `quality`.
-fn choose_file(uploaded: Option<Vec<u8>>, format: PhotoFormat, photo: &Photo, quality: u8) -> Result<EncodedPhoto, MakeError> {
-    let Some(bytes) = uploaded else { return Ok(EncodedPhoto::from_photo(photo, quality)?) };
-    Ok(EncodedPhoto::shorter_than(bytes.len(), photo, quality)?.unwrap_or(EncodedPhoto { bytes, format }))
+/// The photo's file for the container, and the photo as readers of that file see it.
+struct ChosenFile {
+    file: EncodedPhoto,
+    photo: Photo,
+}
+
+impl ChosenFile {
+    /// Chooses the uploaded file, which shows `photo` exactly, if it is no larger than a new one at `quality`.
+    fn choose(uploaded: Option<Vec<u8>>, format: PhotoFormat, photo: &Photo, quality: u8) -> Result<Self, MakeError> {
+        let Some(bytes) = uploaded else { return Self::decoded(EncodedPhoto::from_photo(photo, quality)?) };
+        match EncodedPhoto::shorter_than(bytes.len(), photo, quality)? {
+            Some(anew) => Self::decoded(anew),
+            None => Ok(Self { file: EncodedPhoto { bytes, format }, photo: photo.clone() }),
+        }
+    }
+
+    fn decoded(file: EncodedPhoto) -> Result<Self, MakeError> {
+        Ok(Self { photo: file.decode()?, file })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_photo_is_what_readers_of_the_chosen_file_see() {
+        let original = Photo::from_fn(70, 50, |x, y| [(x * 37 + y * 101) as u8, (x * y) as u8, (x * 5) as u8]);
+        let uploaded = EncodedPhoto::from_photo(&original, 60).unwrap();
+        let photo = uploaded.decode().unwrap();
+        for (bytes, quality, keeps) in [(Some(&uploaded.bytes), 95, true), (Some(&uploaded.bytes), 20, false), (None, 95, false)] {
+            let ChosenFile { file, photo: seen } = ChosenFile::choose(bytes.cloned(), PhotoFormat::Jpeg, &photo, quality).unwrap();
+            assert_eq!((file.bytes == uploaded.bytes, &seen), (keeps, &file.decode().unwrap()), "quality {quality}");
+        }
+    }
 }
