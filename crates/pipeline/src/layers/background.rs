@@ -13,6 +13,9 @@ const NEXT_REACH: u32 = 96;
 /// How much farther than the whole tile these pixels must be, in δ.
 const BACKGROUND_STEP: f32 = 0.05;
 
+/// Most tiles that a thread takes before another can take over the rest.
+const MAX_PIECE: usize = 8;
+
 /// Which pixels of a margin a background plane is fitted to, and how many it takes. `tmpi-lab bench --only backgrounds` compares other
 /// rules than the default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,7 +64,8 @@ fn add_sampled(geometry: &mut Geometry, delta: &DisparityMap, wanted: impl Fn(u3
     // in a room's first frames some tiles may have no planes yet, and show nothing to uncover
     let of = |(i, t): (usize, &Tile)| if t.planes.is_empty() { f32::INFINITY } else { t.min_disparity(&grid, i as u32) };
     let farthest: Vec<f32> = geometry.tiles.par_iter().enumerate().map(of).collect();
-    geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
+    let tiles = geometry.tiles.par_iter_mut().with_max_len(MAX_PIECE).enumerate();
+    tiles.filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
         let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
         let uncovers = |reach: &u32| *reach == BACKGROUND_REACH || may_uncover(&grid, i as u32, &farthest, *reach);
         let within = |reach: u32| background(delta, grown(r, reach, reach, &grid), (r, place), farthest[i], samples.within(reach), points);
