@@ -18,19 +18,26 @@ impl Columns<'_> {
     /// Computes δ of the visible surface along row `y` of the tile, whose coordinate is `v`; `planes` is scratch memory.
     pub fn visible(&self, y: usize, v: f64, planes: &mut Vec<[f64; 2]>, out: &mut [f32]) {
         let labels = &self.labels[y * self.us.len()..][..self.us.len()];
-        match labels.first() {
-            // most rows lie on one plane
-            Some(&first) if labels.iter().all(|&l| l == first) => disparities(self.us, v, &self.planes[first as usize], out),
-            _ => {
-                planes.clear();
-                planes.extend(self.planes.iter().map(|p| [p.b, p.c * v]));
-                for ((o, &l), u) in out.iter_mut().zip(labels).zip(self.us) {
-                    let [b, cv] = planes[l as usize];
-                    *o = (self.planes[l as usize].a + b * u + cv) as f32;
-                }
-            }
+        // most rows lie on one plane
+        if let Some(label) = only_label(labels) {
+            disparities(self.us, v, &self.planes[usize::from(label)], out);
+            return;
+        }
+        planes.clear();
+        planes.extend(self.planes.iter().map(|p| [p.b, p.c * v]));
+        for ((o, &l), u) in out.iter_mut().zip(labels).zip(self.us) {
+            let [b, cv] = planes[l as usize];
+            *o = (self.planes[l as usize].a + b * u + cv) as f32;
         }
     }
+}
+
+/// The label that all pixels of a row have; `None` if they differ, or if there are none.
+fn only_label(labels: &[u8]) -> Option<u8> {
+    let first = *labels.first()?;
+    // without an early exit, which would not vectorise
+    let differs = labels.iter().fold(0, |differs, label| differs | (label ^ first));
+    (differs == 0).then_some(first)
 }
 
 dispatch!(
