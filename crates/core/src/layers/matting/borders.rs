@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::super::visibility_kernels::Columns;
 use super::super::{Geometry, TileFrame};
-use super::matte::{Matte, Side};
+use super::matte::{Matte, Mattes, Side};
 use crate::scene::{Grid, Plane, Rect};
 use crate::simd::dispatch;
 
@@ -113,14 +113,6 @@ struct Nearest {
     off: [isize; 2],
 }
 
-/// Mattes of a pixel behind a border.
-struct Mattes {
-    /// If its colour is a mixture of both sides.
-    mixture: Option<Matte>,
-    /// If its colour does not belong to a plain far side.
-    halo: Option<Matte>,
-}
-
 impl Tile<'_> {
     /// Computes the visible surface, and its extremes around each pixel.
     fn compute_surface(&self, s: &mut Scratch) {
@@ -168,8 +160,7 @@ impl Tile<'_> {
         let (front, back) = self.sides(x, y, [far, middle], photo, s);
         let (px, py) = (self.r.x as usize + x, self.r.y as usize + y - photo.top as usize);
         let colour = photo.rgb[py * self.geometry.grid.width as usize + px];
-        let mixture = Matte::of(colour, &front, &back);
-        Mattes { mixture, halo: Matte::halo(colour, mixture, &front, &back) }
+        Mattes::of(colour, &front, &back)
     }
 
     /// The nearest pixel in front of `middle` whose plane is also in front at `(x, y)`.
