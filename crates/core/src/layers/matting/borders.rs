@@ -4,14 +4,14 @@ use std::ops::Range;
 
 use super::super::visibility_kernels::Columns;
 use super::super::{Geometry, TileFrame};
-use super::matte::{Matte, Mattes, Side};
+use super::matte::{Matte, Mattes};
+use super::sides::{self, COLUMNS, Pixels, Sides, WINDOW};
+use crate::scene::packed_rgb::{of_word, words};
 use crate::scene::{Grid, Plane, Rect};
 use crate::simd::dispatch;
 
 /// Width, in pixels, of the band on the far side of a border whose colours are mixed.
 pub(super) const BAND: usize = 2;
-/// Half the size, in pixels, of the window around a pixel that supplies the colours of either side.
-const WINDOW: usize = 4;
 /// A border is matted if its sides differ by more than `MIN_STEP` in δ, and move against each other by more than `MIN_MOTION` pixels over
 /// the view box. Smaller steps are part of one object, or uncover nothing.
 const MIN_STEP: f64 = 0.05;
@@ -37,7 +37,7 @@ pub(crate) struct Rows<'a> {
     pub rgb: &'a [[u8; 3]],
 }
 
-/// Scratch memory, reused from tile to tile.
+/// Scratch memory, reused from tile to tile. All but `us` and `planes` have [`COLUMNS`] values more than the tile has pixels.
 #[derive(Default)]
 pub(super) struct Scratch {
     us: Vec<f64>,
@@ -47,6 +47,9 @@ pub(super) struct Scratch {
     most: Vec<f32>,
     least: Vec<f32>,
     column: Vec<f32>,
+    /// Colours as words, and the sums of the squares of their channels.
+    words: Vec<u32>,
+    squares: Vec<u32>,
 }
 
 /// Pixels that a tile owns. Overlapping tiles divide the overlap in the middle, so each tile has the surroundings of its own pixels.
@@ -88,15 +91,20 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
     let own = owned(grid, index);
     let rows = own.y.max(wanted.start)..(own.y + own.h).min(wanted.end);
     let w = r.w as usize;
-    for y in rows {
-        let first = (y - r.y) as usize * w + (own.x - r.x) as usize;
-        let (visible, most) = (&s.visible[first..][..own.w as usize], &s.most[first..][..own.w as usize]);
-        if !steps(visible, most, step) {
+    let mut has_colours = false;
+    for y in rows.clone() {
+        let row = (y - r.y) as usize * w + (own.x - r.x) as usize;
+        let row = row..row + own.w as usize;
+        if !steps(&s.visible[row.clone()], &s.most[row.clone()], step) {
             continue;
         }
-        for (i, (d, m)) in visible.iter().zip(most).enumerate() {
-            if m - d > step
-                && let Some(pixel) = tile.border_pixel(own.x as usize - r.x as usize + i, (y - r.y) as usize, photo, s)
+        if !has_colours {
+            tile.copy_colours(&rows, photo, s);
+            has_colours = true;
+        }
+        for at in row {
+            if s.most[at] - s.visible[at] > step
+                && let Some(pixel) = tile.border_pixel(at % w, at / w, s)
             {
                 out.push(pixel);
             }
@@ -116,22 +124,38 @@ struct Nearest {
 impl Tile<'_> {
     /// Computes the visible surface, and its extremes around each pixel.
     fn compute_surface(&self, s: &mut Scratch) {
-        let (w, h) = (self.r.w as usize, self.r.h as usize);
+        let (w, count) = (self.r.w as usize, self.r.area());
         for all in [&mut s.visible, &mut s.most, &mut s.least, &mut s.column] {
-            all.resize(w * h, 0.0);
+            all.resize(count + COLUMNS, 0.0);
         }
         self.frame.columns(self.r.x, self.r.w, &mut s.us);
         let columns = Columns { us: &s.us, labels: self.labels, planes: self.planes };
-        for (y, row) in s.visible.chunks_mut(w).enumerate() {
+        for (y, row) in s.visible[..count].chunks_mut(w).enumerate() {
             columns.visible(y, self.frame.v(self.r.y + y as u32), &mut s.planes, row);
         }
-        extreme(&s.visible, w, &mut s.column, &mut s.most, BAND, larger_of);
-        extreme(&s.visible, w, &mut s.column, &mut s.least, 1, smaller_of);
+        let (visible, column) = (&s.visible[..count], &mut s.column[..count]);
+        extreme(visible, w, column, &mut s.most[..count], BAND, larger_of);
+        extreme(visible, w, column, &mut s.least[..count], 1, smaller_of);
+    }
+
+    /// Copies the colours in windows around pixels of these rows of the photo, and around pixels between these and a border.
+    fn copy_colours(&self, rows: &Range<u32>, photo: Rows, s: &mut Scratch) {
+        let (w, width, count) = (self.r.w as usize, self.geometry.grid.width as usize, self.r.area());
+        for all in [&mut s.words, &mut s.squares] {
+            all.resize(count + COLUMNS, 0);
+        }
+        let around = (WINDOW + BAND) as u32;
+        for y in rows.start.saturating_sub(around).max(self.r.y)..(rows.end + around).min(self.r.y + self.r.h) {
+            let from = (y - photo.top) as usize * width + self.r.x as usize;
+            let to = (y - self.r.y) as usize * w;
+            words(&photo.rgb[from..from + w], &mut s.words[to..to + w]);
+            sides::squares(&s.words[to..to + w], &mut s.squares[to..to + w]);
+        }
     }
 
     /// The matte of pixel `(x, y)` of the tile, which lies beside a nearer surface. `None` if the colours do not determine one, or if tiles
     /// disagree.
-    fn border_pixel(&self, x: usize, y: usize, photo: Rows, s: &Scratch) -> Option<BorderPixel> {
+    fn border_pixel(&self, x: usize, y: usize, s: &Scratch) -> Option<BorderPixel> {
         let w = self.r.w as usize;
         let at = y * w + x;
         let (far, most) = (s.visible[at], s.most[at]);
@@ -141,26 +165,24 @@ impl Tile<'_> {
         if !self.others_agree(px, py, middle) {
             return None;
         }
-        let Mattes { mixture, halo } = self.mattes(x, y, middle, photo, s);
+        let Mattes { mixture, halo } = self.mattes(x, y, middle, s);
         let fades = |mixture: &Matte| {
             // between this pixel and the border, colours are mixed even more
             let between = |at: usize, off: isize| at.saturating_add_signed(off - off / 2);
             let (u, v) = (between(x, off[0]), between(y, off[1]));
             off == off.map(isize::signum)
                 || s.visible[v * w + u] >= middle
-                || self.mattes(u, v, middle, photo, s).mixture.is_some_and(|m| m.alpha >= mixture.alpha)
+                || self.mattes(u, v, middle, s).mixture.is_some_and(|m| m.alpha >= mixture.alpha)
         };
         let matte = halo.or_else(|| mixture.filter(fades))?;
         Some(BorderPixel { x: px, y: py, near, matte })
     }
 
     /// Mattes of pixel `(x, y)`, which lies behind `middle`.
-    fn mattes(&self, x: usize, y: usize, middle: f32, photo: Rows, s: &Scratch) -> Mattes {
-        let far = s.visible[y * self.r.w as usize + x];
-        let (front, back) = self.sides(x, y, [far, middle], photo, s);
-        let (px, py) = (self.r.x as usize + x, self.r.y as usize + y - photo.top as usize);
-        let colour = photo.rgb[py * self.geometry.grid.width as usize + px];
-        Mattes::of(colour, &front, &back)
+    fn mattes(&self, x: usize, y: usize, middle: f32, s: &Scratch) -> Mattes {
+        let at = y * self.r.w as usize + x;
+        let Sides { front, back } = self.sides(x, y, [s.visible[at], middle], s);
+        Mattes::of(of_word(s.words[at]), &front, &back)
     }
 
     /// The nearest pixel in front of `middle` whose plane is also in front at `(x, y)`.
@@ -206,36 +228,15 @@ impl Tile<'_> {
     }
 
     /// Unmixed colours around pixel `(x, y)`: those nearer than `middle`, and those of the surface at `far`.
-    fn sides(&self, x: usize, y: usize, [far, middle]: [f32; 2], photo: Rows, s: &Scratch) -> (Side, Side) {
-        let (w, h) = (self.r.w as usize, self.r.h as usize);
-        let (mut front, mut back, mut thin) = (Side::default(), Side::default(), Side::default());
-        let columns = x.saturating_sub(WINDOW)..(x + WINDOW + 1).min(w);
+    fn sides(&self, x: usize, y: usize, [far, middle]: [f32; 2], s: &Scratch) -> Sides {
+        let Scratch { visible, most, words, squares, .. } = s;
+        let pixels = Pixels { width: self.r.w as usize, visible, most, words, squares };
         let farthest = far - (middle - far);
-        for v in y.saturating_sub(WINDOW)..(y + WINDOW + 1).min(h) {
-            let row = v * w;
-            let first = (self.r.y as usize + v - photo.top as usize) * self.geometry.grid.width as usize + self.r.x as usize;
-            let down = v.abs_diff(y);
-            for u in columns.clone() {
-                let weight = WEIGHTS[down][u.abs_diff(x)];
-                let (d, most) = (s.visible[row + u], s.most[row + u]);
-                if most < middle {
-                    if d > farthest {
-                        back.add(photo.rgb[first + u], weight);
-                    }
-                } else if d >= middle {
-                    let side = if s.least[row + u] >= middle { &mut front } else { &mut thin };
-                    side.add(photo.rgb[first + u], weight);
-                }
-            }
-        }
+        let sides = sides::around(pixels, &s.least, [x, y], farthest, middle);
         // a thin object has only pixels beside the border
-        (if front.weight > 0 { front } else { thin }, back)
+        if sides.front.weight > 0 { sides } else { sides::around(pixels, visible, [x, y], farthest, middle) }
     }
 }
-
-/// Weights of the colours in a window, by vertical and horizontal distance.
-const WEIGHTS: [[u32; WINDOW + 1]; WINDOW + 1] =
-    [[16, 15, 12, 9, 6], [15, 14, 11, 8, 5], [12, 11, 9, 7, 4], [9, 8, 7, 5, 3], [6, 5, 4, 3, 2]];
 
 dispatch!(
     /// True if anywhere in the row the maximum exceeds the visible δ by more than `step`.

@@ -33,7 +33,7 @@ pub struct Side {
 
 impl Side {
     /// Adds a colour.
-    #[inline]
+    #[cfg(test)]
     pub fn add(&mut self, colour: [u8; 3], weight: u32) {
         let colour = colour.map(u32::from);
         self.weight += weight;

@@ -7,6 +7,7 @@
 
 mod borders;
 mod matte;
+mod sides;
 #[cfg(test)]
 mod tests;
 
