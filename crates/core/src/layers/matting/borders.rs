@@ -87,20 +87,25 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
     let (right, down) = geometry.view_box.parallax(&geometry.intrinsics, r);
     let step = (MIN_MOTION / right.max(down)).max(MIN_STEP) as f32;
     let tile = Tile { geometry, r, frame: TileFrame::of(grid, index), labels: &tile.labels, planes: &tile.planes, index };
-    tile.compute_surface(s);
+    tile.compute_visible(s);
+    // nothing beside a pixel is farther in front of it than the nearest pixel is in front of the farthest
+    if spread(&s.visible[..r.area()]) <= step {
+        return out;
+    }
+    tile.compute_most(s);
     let own = owned(grid, index);
     let rows = own.y.max(wanted.start)..(own.y + own.h).min(wanted.end);
     let w = r.w as usize;
-    let mut has_colours = false;
+    let mut is_prepared = false;
     for y in rows.clone() {
         let row = (y - r.y) as usize * w + (own.x - r.x) as usize;
         let row = row..row + own.w as usize;
         if !steps(&s.visible[row.clone()], &s.most[row.clone()], step) {
             continue;
         }
-        if !has_colours {
-            tile.copy_colours(&rows, photo, s);
-            has_colours = true;
+        if !is_prepared {
+            tile.prepare(&rows, photo, s);
+            is_prepared = true;
         }
         for at in row {
             if s.most[at] - s.visible[at] > step
@@ -122,8 +127,8 @@ struct Nearest {
 }
 
 impl Tile<'_> {
-    /// Computes the visible surface, and its extremes around each pixel.
-    fn compute_surface(&self, s: &mut Scratch) {
+    /// Computes δ of the visible surface.
+    fn compute_visible(&self, s: &mut Scratch) {
         let (w, count) = (self.r.w as usize, self.r.area());
         for all in [&mut s.visible, &mut s.most, &mut s.least, &mut s.column] {
             all.resize(count + COLUMNS, 0.0);
@@ -133,14 +138,19 @@ impl Tile<'_> {
         for (y, row) in s.visible[..count].chunks_mut(w).enumerate() {
             columns.visible(y, self.frame.v(self.r.y + y as u32), &mut s.planes, row);
         }
-        let (visible, column) = (&s.visible[..count], &mut s.column[..count]);
-        extreme(visible, w, column, &mut s.most[..count], BAND, larger_of);
-        extreme(visible, w, column, &mut s.least[..count], 1, smaller_of);
     }
 
-    /// Copies the colours in windows around pixels of these rows of the photo, and around pixels between these and a border.
-    fn copy_colours(&self, rows: &Range<u32>, photo: Rows, s: &mut Scratch) {
+    /// Computes its maximum around each pixel.
+    fn compute_most(&self, s: &mut Scratch) {
+        let (w, count) = (self.r.w as usize, self.r.area());
+        largest(&s.visible[..count], w, &mut s.column[..count], &mut s.most[..count]);
+    }
+
+    /// Computes its minimum around each pixel, and copies the colours in windows around pixels of these rows of the photo, and around pixels
+    /// between these and a border.
+    fn prepare(&self, rows: &Range<u32>, photo: Rows, s: &mut Scratch) {
         let (w, width, count) = (self.r.w as usize, self.geometry.grid.width as usize, self.r.area());
+        smallest(&s.visible[..count], w, &mut s.column[..count], &mut s.least[..count]);
         for all in [&mut s.words, &mut s.squares] {
             all.resize(count + COLUMNS, 0);
         }
@@ -249,42 +259,88 @@ fn steps_body(visible: &[f32], most: &[f32], step: f32) -> bool {
     visible.iter().zip(most).fold(0, |any, (d, m)| any | u8::from(m - d > step)) != 0
 }
 
-/// Replaces each value by the larger or smaller of it and another.
-type Pick = fn(&mut [f32], &[f32]);
+/// Number of lanes in the reduction.
+const LANES: usize = 8;
 
-dispatch!(larger_of, larger_of_body, (values: &mut [f32], others: &[f32]));
+dispatch!(
+    /// The difference between the largest and the smallest value.
+    spread, spread_body, (values: &[f32]) -> f32
+);
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
-fn larger_of_body(values: &mut [f32], others: &[f32]) {
-    for (v, &o) in values.iter_mut().zip(others) {
-        *v = if o > *v { o } else { *v };
+fn spread_body(values: &[f32]) -> f32 {
+    let (mut most, mut least) = ([f32::NEG_INFINITY; LANES], [f32::INFINITY; LANES]);
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for ((m, l), &d) in most.iter_mut().zip(&mut least).zip(chunk) {
+            *m = larger(*m, d);
+            *l = smaller(*l, d);
+        }
     }
+    let most = rest.iter().chain(&most).fold(f32::NEG_INFINITY, |m, &d| larger(m, d));
+    let least = rest.iter().chain(&least).fold(f32::INFINITY, |l, &d| smaller(l, d));
+    most - least
 }
 
-dispatch!(smaller_of, smaller_of_body, (values: &mut [f32], others: &[f32]));
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn larger(a: f32, b: f32) -> f32 {
+    if b > a { b } else { a }
+}
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn smaller(a: f32, b: f32) -> f32 {
+    if b < a { b } else { a }
+}
+
+dispatch!(
+    /// The maximum of the values within [`BAND`] rows and columns of each, `w` values to a row; `column` is scratch memory.
+    largest, largest_body, (values: &[f32], w: usize, column: &mut [f32], out: &mut [f32])
+);
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
-fn smaller_of_body(values: &mut [f32], others: &[f32]) {
-    for (v, &o) in values.iter_mut().zip(others) {
-        *v = if o < *v { o } else { *v };
-    }
+fn largest_body(values: &[f32], w: usize, column: &mut [f32], out: &mut [f32]) {
+    extreme(values, w, (column, out), BAND, larger);
+}
+
+dispatch!(
+    /// The minimum of the values within one row and column of each, `w` values to a row; `column` is scratch memory.
+    smallest, smallest_body, (values: &[f32], w: usize, column: &mut [f32], out: &mut [f32])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
+fn smallest_body(values: &[f32], w: usize, column: &mut [f32], out: &mut [f32]) {
+    extreme(values, w, (column, out), 1, smaller);
 }
 
 /// The extreme of the values within `by` rows and columns of each, `w` values to a row.
-fn extreme(values: &[f32], w: usize, column: &mut [f32], out: &mut [f32], by: usize, pick: Pick) {
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loops must be compiled with the caller's target features")]
+fn extreme(values: &[f32], w: usize, (column, out): (&mut [f32], &mut [f32]), by: usize, pick: impl Fn(f32, f32) -> f32 + Copy) {
     let all = values.len();
     column.copy_from_slice(values);
     for off in (1..=by).map(|n| (n * w).min(all)) {
-        pick(&mut column[off..], &values[..all - off]);
-        pick(&mut column[..all - off], &values[off..]);
+        replace(&mut column[off..], &values[..all - off], pick);
+        replace(&mut column[..all - off], &values[off..], pick);
     }
     out.copy_from_slice(column);
     for (out, row) in out.chunks_mut(w).zip(column.chunks(w)) {
         for off in (1..=by).map(|n| n.min(w)) {
-            pick(&mut out[off..], &row[..w - off]);
-            pick(&mut out[..w - off], &row[off..]);
+            replace(&mut out[off..], &row[..w - off], pick);
+            replace(&mut out[..w - off], &row[off..], pick);
         }
+    }
+}
+
+/// Replaces each value by what `pick` returns for it and another.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
+fn replace(values: &mut [f32], others: &[f32], pick: impl Fn(f32, f32) -> f32) {
+    for (value, other) in values.iter_mut().zip(others) {
+        *value = pick(*value, *other);
     }
 }
