@@ -73,27 +73,29 @@ struct Tile<'a> {
     labels: &'a [u8],
     planes: &'a [Plane],
     index: u32,
+    /// Columns and rows of tiles.
+    columns: u32,
+    rows: u32,
 }
 
 /// Pixels beside a border that tile `index` owns in the rows `wanted`, row by row.
 #[inline(never)]
 pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, photo: Rows, s: &mut Scratch) -> Vec<BorderPixel> {
-    let (grid, tile) = (&geometry.grid, &geometry.tiles[index as usize]);
-    let r = grid.rect(index);
+    let tile = Tile::of(geometry, index);
+    let r = tile.r;
     let mut out = Vec::new();
     if tile.planes.len() < 2 || tile.labels.len() != r.area() {
         return out;
     }
     let (right, down) = geometry.view_box.parallax(&geometry.intrinsics, r);
     let step = (MIN_MOTION / right.max(down)).max(MIN_STEP) as f32;
-    let tile = Tile { geometry, r, frame: TileFrame::of(grid, index), labels: &tile.labels, planes: &tile.planes, index };
     tile.compute_visible(s);
     // nothing beside a pixel is farther in front of it than the nearest pixel is in front of the farthest
     if spread(&s.visible[..r.area()]) <= step {
         return out;
     }
     tile.compute_most(s);
-    let own = owned(grid, index);
+    let own = owned(&geometry.grid, index);
     let rows = own.y.max(wanted.start)..(own.y + own.h).min(wanted.end);
     let w = r.w as usize;
     let mut is_prepared = false;
@@ -118,6 +120,34 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
     out
 }
 
+/// Pixels within [`BAND`] rows and columns of a pixel, by how far to the right and down they are: nearest first, and those as near row by row.
+const NEIGHBOURS: [[isize; 2]; 24] = [
+    [0, -1],
+    [-1, 0],
+    [1, 0],
+    [0, 1],
+    [-1, -1],
+    [1, -1],
+    [-1, 1],
+    [1, 1],
+    [0, -2],
+    [-2, 0],
+    [2, 0],
+    [0, 2],
+    [-1, -2],
+    [1, -2],
+    [-2, -1],
+    [2, -1],
+    [-2, 1],
+    [2, 1],
+    [-1, 2],
+    [1, 2],
+    [-2, -2],
+    [2, -2],
+    [-2, 2],
+    [2, 2],
+];
+
 /// The nearest foreground pixel.
 #[derive(Clone, Copy)]
 struct Nearest {
@@ -126,7 +156,21 @@ struct Nearest {
     off: [isize; 2],
 }
 
-impl Tile<'_> {
+impl<'a> Tile<'a> {
+    fn of(geometry: &'a Geometry, index: u32) -> Self {
+        let (grid, tile) = (&geometry.grid, &geometry.tiles[index as usize]);
+        Self {
+            geometry,
+            r: grid.rect(index),
+            frame: TileFrame::of(grid, index),
+            labels: &tile.labels,
+            planes: &tile.planes,
+            index,
+            columns: grid.columns(),
+            rows: grid.rows(),
+        }
+    }
+
     /// Computes δ of the visible surface.
     fn compute_visible(&self, s: &mut Scratch) {
         let (w, count) = (self.r.w as usize, self.r.area());
@@ -198,21 +242,16 @@ impl Tile<'_> {
     /// The nearest pixel in front of `middle` whose plane is also in front at `(x, y)`.
     fn nearest(&self, x: usize, y: usize, middle: f32, s: &Scratch) -> Option<Nearest> {
         let (w, h) = (self.r.w as usize, self.r.h as usize);
-        let mut best: Option<(usize, Nearest)> = None;
-        for v in y.saturating_sub(BAND)..(y + BAND + 1).min(h) {
-            for u in x.saturating_sub(BAND)..(x + BAND + 1).min(w) {
-                let off = u.abs_diff(x).pow(2) + v.abs_diff(y).pow(2);
-                if s.visible[v * w + u] < middle || best.is_some_and(|(least, _)| least <= off) {
-                    continue;
-                }
-                let label = self.labels[v * w + u];
-                let plane = &self.planes[usize::from(label)];
-                if self.frame.disparity(plane, self.r.x + x as u32, self.r.y + y as u32) > middle {
-                    best = Some((off, Nearest { label, off: [u as isize - x as isize, v as isize - y as isize] }));
-                }
+        let (px, py) = (self.r.x + x as u32, self.r.y + y as u32);
+        NEIGHBOURS.iter().find_map(|&off| {
+            let (u, v) = (x.checked_add_signed(off[0])?, y.checked_add_signed(off[1])?);
+            if u >= w || v >= h || s.visible[v * w + u] < middle {
+                return None;
             }
-        }
-        best.map(|(_, nearest)| nearest)
+            let label = self.labels[v * w + u];
+            let delta = self.frame.disparity(&self.planes[usize::from(label)], px, py);
+            (delta > middle).then_some(Nearest { label, off })
+        })
     }
 
     /// True if all other tiles with this pixel also show the far side there.
@@ -222,14 +261,14 @@ impl Tile<'_> {
             let first = if at < g.size { 0 } else { (at - g.size) / g.stride + 1 };
             first..(at / g.stride + 1).min(count)
         };
-        let columns = side(x, g.columns());
-        side(y, g.rows()).all(|row| {
+        let columns = side(x, self.columns);
+        side(y, self.rows).all(|row| {
             columns.clone().all(|column| {
-                let index = row * g.columns() + column;
-                let (r, tile) = (g.rect(index), &tiles[index as usize]);
+                let index = row * self.columns + column;
                 if index == self.index {
                     return true;
                 }
+                let (r, tile) = (g.rect(index), &tiles[index as usize]);
                 let label = tile.labels.get(((y - r.y) * r.w + x - r.x) as usize);
                 let plane = label.and_then(|l| tile.planes.get(usize::from(*l)));
                 plane.is_some_and(|p| TileFrame::of(g, index).disparity(p, x, y) < middle)
@@ -342,5 +381,20 @@ fn extreme(values: &[f32], w: usize, (column, out): (&mut [f32], &mut [f32]), by
 fn replace(values: &mut [f32], others: &[f32], pick: impl Fn(f32, f32) -> f32) {
     for (value, other) in values.iter_mut().zip(others) {
         *value = pick(*value, *other);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbours_are_all_pixels_of_the_band_nearest_first() {
+        let band = BAND as isize;
+        let mut want: Vec<[isize; 2]> =
+            (-band..=band).flat_map(|v| (-band..=band).map(move |u| [u, v])).filter(|off| *off != [0, 0]).collect();
+        // keeps the order of rows
+        want.sort_by_key(|[u, v]| u * u + v * v);
+        assert_eq!(NEIGHBOURS[..], want);
     }
 }
