@@ -48,7 +48,7 @@ impl Surface {
 
     /// The greatest δ in a window, at least 0; with `in_blocks`, of all blocks that overlap it.
     pub(super) fn nearest(&self, win: Rect, in_blocks: bool) -> f64 {
-        let of_pixels = || (win.y..win.y + win.h).map(|y| nearest(self.row(win.x, y, win.w))).fold(0.0, f32::max);
+        let of_pixels = || nearest(&self.delta[self.at(win.x, win.y)..], self.width, win.w as usize, win.h as usize);
         f64::from(self.coarse().filter(|_| in_blocks).map_or_else(of_pixels, |coarse| coarse.nearest(win)))
     }
 

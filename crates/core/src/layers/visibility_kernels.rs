@@ -141,21 +141,26 @@ fn open_body(us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mas
 const LANES: usize = 8;
 
 dispatch!(
-    /// The maximum of the values, at least 0.
-    pub nearest, nearest_body, (surface: &[f32]) -> f32
+    /// The maximum of some columns and rows from the first value on, at least 0; rows are `stride` values apart.
+    pub nearest, nearest_body, (surface: &[f32], stride: usize, columns: usize, rows: usize) -> f32
 );
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
-fn nearest_body(surface: &[f32]) -> f32 {
+fn nearest_body(surface: &[f32], stride: usize, columns: usize, rows: usize) -> f32 {
     let mut most = [0f32; LANES];
-    let (chunks, rest) = surface.as_chunks::<LANES>();
-    for chunk in chunks {
-        for (m, &d) in most.iter_mut().zip(chunk) {
+    for row in surface.chunks(stride).take(rows) {
+        let (chunks, rest) = row[..columns].as_chunks::<LANES>();
+        for chunk in chunks {
+            for (m, &d) in most.iter_mut().zip(chunk) {
+                *m = if d > *m { d } else { *m };
+            }
+        }
+        for (m, &d) in most.iter_mut().zip(rest) {
             *m = if d > *m { d } else { *m };
         }
     }
-    rest.iter().chain(&most).fold(0.0, |m, &d| if d > m { d } else { m })
+    most.into_iter().fold(0.0, |m, d| if d > m { d } else { m })
 }
 
 #[cfg(test)]
@@ -190,7 +195,11 @@ mod tests {
                 want_count += usize::from(is);
             }
             prop_assert_eq!(count, want_count);
-            prop_assert_eq!(nearest(surface).to_bits(), surface.iter().copied().fold(0.0, f32::max).to_bits());
+            prop_assert_eq!(nearest(surface, n, n, 1).to_bits(), surface.iter().copied().fold(0.0, f32::max).to_bits());
+            let (stride, columns) = (n.div_ceil(3), n.div_ceil(5));
+            let rows = n / stride;
+            let inside = (0..rows * stride).filter(|i| i % stride < columns).map(|i| surface[i]);
+            prop_assert_eq!(nearest(surface, stride, columns, rows).to_bits(), inside.fold(0.0, f32::max).to_bits());
         }
     }
 }
