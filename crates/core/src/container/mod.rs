@@ -13,8 +13,6 @@ pub mod fixtures;
 #[doc(hidden)]
 pub mod fuzzing;
 mod hidden;
-#[cfg(feature = "pictures")]
-mod jpeg_encoder;
 mod label_bands;
 pub(crate) mod labels;
 mod photo;
