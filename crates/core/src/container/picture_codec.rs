@@ -1,5 +1,7 @@
 //! Picture codecs of the container.
 
+use std::io::Write;
+
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageFormat};
 
@@ -12,10 +14,39 @@ use crate::scene::Photo;
 /// [`ContainerError::Encode`] if a side is over 65 535 pixels.
 pub fn encode_jpeg(width: u32, height: u32, rgb: &[u8], quality: u8) -> Result<Vec<u8>, ContainerError> {
     let mut out = Vec::new();
-    JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))
-        .write_image(rgb, width, height, ExtendedColorType::Rgb8)
-        .map_err(|e| ContainerError::Encode(e.to_string()))?;
+    write_jpeg(&mut out, (width, height), rgb, quality).map_err(|e| ContainerError::Encode(e.to_string()))?;
     Ok(out)
+}
+
+fn write_jpeg(to: impl Write, (width, height): (u32, u32), rgb: &[u8], quality: u8) -> image::ImageResult<()> {
+    JpegEncoder::new_with_quality(to, quality.clamp(1, 100)).write_image(rgb, width, height, ExtendedColorType::Rgb8)
+}
+
+/// A file that is collected as long as it is shorter than a limit.
+struct ShortFile {
+    bytes: Vec<u8>,
+    limit: usize,
+    is_over: bool,
+}
+
+impl Write for ShortFile {
+    fn write(&mut self, part: &[u8]) -> std::io::Result<usize> {
+        self.write_all(part)?;
+        Ok(part.len())
+    }
+
+    fn write_all(&mut self, part: &[u8]) -> std::io::Result<()> {
+        if self.bytes.len() + part.len() >= self.limit {
+            self.is_over = true;
+            return Err(std::io::ErrorKind::FileTooLarge.into());
+        }
+        self.bytes.extend_from_slice(part);
+        Ok(())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
 }
 
 /// Encodes 8-bit RGB (three bytes per pixel) or RGBA (four) as lossless PNG or WebP.
@@ -38,6 +69,19 @@ impl EncodedPhoto {
     pub fn from_photo(photo: &Photo, quality: u8) -> Result<Self, ContainerError> {
         let bytes = encode_jpeg(photo.width, photo.height, photo.rgb.as_flattened(), quality)?;
         Ok(Self { bytes, format: PhotoFormat::Jpeg })
+    }
+
+    /// Like [`EncodedPhoto::from_photo`] if the file is shorter than `limit` bytes, otherwise `None`, without encoding the rest.
+    ///
+    /// # Errors
+    /// As in [`EncodedPhoto::from_photo`].
+    pub fn shorter_than(limit: usize, photo: &Photo, quality: u8) -> Result<Option<Self>, ContainerError> {
+        let mut file = ShortFile { bytes: Vec::new(), limit, is_over: false };
+        match write_jpeg(&mut file, (photo.width, photo.height), photo.rgb.as_flattened(), quality) {
+            Ok(()) => Ok(Some(Self { bytes: file.bytes, format: PhotoFormat::Jpeg })),
+            Err(_) if file.is_over => Ok(None),
+            Err(e) => Err(ContainerError::Encode(e.to_string())),
+        }
     }
 
     /// Encodes a photo as lossless WebP.

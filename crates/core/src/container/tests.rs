@@ -2,7 +2,7 @@
 
 use super::fixtures::{bare_in, discs as scene, matted, rough};
 use super::*;
-use crate::{Geometry, Grid, Inpainter, Scene};
+use crate::{Geometry, Grid, Inpainter, Photo, Scene};
 
 fn container((geometry, s): &(Geometry, Scene)) -> Vec<u8> {
     let photo = EncodedPhoto::from_photo(&s.photo, 90).unwrap();
@@ -45,6 +45,18 @@ fn everything_but_lossy_pictures_round_trips_exactly() {
         let bytes = encode(&geometry, &scene, &photo, OptionalSections { alpha: true, hidden: Some(how) }).unwrap().0;
         assert_eq!(decode(&bytes).unwrap().texels, scene.texels);
     }
+}
+
+#[test]
+fn a_photo_is_encoded_only_if_its_file_is_shorter_than_the_limit() {
+    let photo = scene(150, 100).1.photo;
+    let whole = EncodedPhoto::from_photo(&photo, 90).unwrap().bytes;
+    let shorter_than = |limit| EncodedPhoto::shorter_than(limit, &photo, 90).unwrap().map(|file| file.bytes);
+    assert_eq!(shorter_than(whole.len() + 1), Some(whole.clone()));
+    for limit in [0, 1, 300, whole.len() / 2, whole.len()] {
+        assert_eq!(shorter_than(limit), None, "{limit} of {}", whole.len());
+    }
+    assert!(EncodedPhoto::shorter_than(0, &Photo::default(), 90).is_err());
 }
 
 /// Checks a golden container, which the tests of the browser's decoder share. `TMPI_BLESS=1` writes it.

@@ -40,16 +40,13 @@ type Region = (Range<usize>, Range<usize>);
 impl<'a> Inpainter<'a> {
     /// Computes the visible surface, and excludes pixels that touch a nearer surface.
     pub fn new(photo: &'a Photo, geometry: &Geometry) -> Self {
-        Self::with_surface(geometry.grid, geometry.surface(), &photo.rgb)
+        let mut sources = geometry.surface();
+        sources.exclude_mixed();
+        Self::with_sources(geometry.grid, sources, &photo.rgb)
     }
 
-    /// Like [`Inpainter::new`] for some rows of the photo whose visible `surface` is known; `rgb` has the pixels of the same rows.
-    pub fn with_surface(grid: Grid, mut surface: Surface, rgb: &'a [[u8; 3]]) -> Self {
-        surface.exclude_mixed();
-        Self::with_sources(grid, surface, rgb)
-    }
-
-    /// Like [`Inpainter::with_surface`] for a surface from which mixed pixels are already excluded.
+    /// Like [`Inpainter::new`] for some rows of the photo. `sources` is their visible surface, from which mixed pixels are already excluded;
+    /// `rgb` has the pixels of the same rows.
     pub(crate) const fn with_sources(grid: Grid, sources: Surface, rgb: &'a [[u8; 3]]) -> Self {
         Self { rgb, grid, sources }
     }
@@ -69,7 +66,9 @@ impl<'a> Inpainter<'a> {
         (class, wanted): (&[u8], &[u8]),
         pyramid: &mut Pyramid,
     ) -> Vec<[u8; 3]> {
-        let (Some(all), Some(hidden)) = (hidden_bounds(rect, class), hidden_bounds(rect, wanted)) else { return Vec::new() };
+        let Some(all) = hidden_bounds(rect, class) else { return Vec::new() };
+        let hidden = if std::ptr::eq(class, wanted) { Some(all) } else { hidden_bounds(rect, wanted) };
+        let Some(hidden) = hidden else { return Vec::new() };
         let place = TileFrame::of(&self.grid, tile);
         let win = super::grown(all, CONTEXT, CONTEXT, &self.grid);
         place.columns(win.x, win.w, &mut pyramid.us);
@@ -136,14 +135,24 @@ impl<'a> Inpainter<'a> {
 
 /// Bounds of the hidden texels in photo pixels; `None` if there are none.
 fn hidden_bounds(rect: Rect, class: &[u8]) -> Option<Rect> {
-    let (mut x0, mut y0, mut x1, mut y1) = (u32::MAX, u32::MAX, 0, 0);
-    let is_hidden = |c: &u8| *c == Class::Hidden as u8;
-    for (y, row) in (0..).zip(class.chunks(rect.w as usize)) {
-        let Some(first) = row.iter().position(is_hidden) else { continue };
-        let last = row.iter().rposition(is_hidden).unwrap_or(first);
-        (x0, y0, x1, y1) = (x0.min(first as u32), y0.min(y), x1.max(last as u32 + 1), y + 1);
+    let width = rect.w as usize;
+    let (mut columns, mut rows) = (vec![0u8; width], 0..0u32);
+    for (y, row) in (0..).zip(class.chunks(width)) {
+        // whole rows at a time, without an early exit, which would not vectorise
+        let mut any = 0;
+        for (column, c) in columns.iter_mut().zip(row) {
+            let hidden = u8::from(*c == Class::Hidden as u8);
+            *column |= hidden;
+            any |= hidden;
+        }
+        if any != 0 {
+            let first = if rows.is_empty() { y } else { rows.start };
+            rows = first..y + 1;
+        }
     }
-    (x1 > 0).then(|| Rect { x: rect.x + x0, y: rect.y + y0, w: x1 - x0, h: y1 - y0 })
+    let full = |c: &u8| *c != 0;
+    let (x0, right) = (columns.iter().position(full)? as u32, columns.iter().rposition(full)? as u32);
+    Some(Rect { x: rect.x + x0, y: rect.y + rows.start, w: right + 1 - x0, h: rows.end - rows.start })
 }
 
 impl Pyramid {

@@ -30,7 +30,22 @@ pub struct Tile {
 impl Tile {
     /// The smallest δ that this tile shows; `index` is its index in the grid.
     pub fn min_disparity(&self, grid: &Grid, index: u32) -> f32 {
-        self.disparities(grid, index).iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least })
+        let (r, place) = (grid.rect(index), TileFrame::of(grid, index));
+        let mut least = f32::INFINITY;
+        for (y, labels) in (r.y..r.y + r.h).zip(self.labels.chunks(r.w as usize)) {
+            let (v, mut x) = (place.v(y), r.x);
+            for run in labels.chunk_by(|a, b| a == b) {
+                let plane = &self.planes[usize::from(run[0])];
+                let next = x + run.len() as u32;
+                // an affine plane is farthest at an end of the run, and rounding keeps the order
+                for end in [x, next - 1] {
+                    let d = plane.disparity(place.u(end), v) as f32;
+                    least = if d < least { d } else { least };
+                }
+                x = next;
+            }
+        }
+        least
     }
 
     /// δ of each pixel, row-major; `index` is the tile's index in the grid.
@@ -105,10 +120,15 @@ impl TileFrame {
         (f64::from(y) + 0.5 - self.centre.1) / self.half
     }
 
+    /// `u` of the centre of pixel column `x`.
+    fn u(&self, x: u32) -> f64 {
+        (f64::from(x) + 0.5 - self.centre.0) / self.half
+    }
+
     /// Writes `u` of the centres of `count` pixel columns from `x` on into `us`.
     pub fn columns(&self, x: u32, count: u32, us: &mut Vec<f64>) {
         us.clear();
-        us.extend((x..x + count).map(|x| (f64::from(x) + 0.5 - self.centre.0) / self.half));
+        us.extend((x..x + count).map(|x| self.u(x)));
     }
 
     /// The least δ of a plane at the pixels of a rectangle, which has at least one.
@@ -121,7 +141,7 @@ impl TileFrame {
 
     /// δ of a plane at the centre of pixel `(x, y)`.
     pub fn disparity(&self, plane: &Plane, x: u32, y: u32) -> f32 {
-        plane.disparity((f64::from(x) + 0.5 - self.centre.0) / self.half, (f64::from(y) + 0.5 - self.centre.1) / self.half) as f32
+        plane.disparity(self.u(x), self.v(y)) as f32
     }
 }
 
@@ -332,6 +352,19 @@ fn bounds(class: &[u8], w: u32, h: u32) -> Option<Rect> {
 mod tests {
     use super::*;
     use crate::{Intrinsics, ViewBox};
+
+    #[test]
+    fn the_smallest_disparity_is_that_of_a_pixel() {
+        let grid = Grid::new(70, 50, 64);
+        let planes = vec![Plane { a: 0.3, b: 0.1, c: -0.2 }, Plane { a: 0.31, b: -0.15, c: 0.01 }];
+        for (index, patch) in (0..grid.tiles()).flat_map(|index| [1, 3, 17, 64].map(|patch| (index, patch))) {
+            let r = grid.rect(index);
+            let labels = (0..r.area() as u32).map(|i| ((i % r.w / patch + i / r.w / patch) % 2) as u8).collect();
+            let tile = Tile { planes: planes.clone(), labels, background: None };
+            let want = tile.disparities(&grid, index).into_iter().fold(f32::INFINITY, f32::min);
+            assert_eq!(tile.min_disparity(&grid, index).to_bits(), want.to_bits(), "tile {index}, patches of {patch}");
+        }
+    }
 
     #[test]
     fn edges_are_opaque_at_a_crease_and_soft_at_a_small_step() {

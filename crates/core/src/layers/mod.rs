@@ -26,5 +26,5 @@ pub(crate) use reach::{farthest, pixel_rows};
 pub use seen_background::SeenBackground;
 pub(crate) use seen_background::{MAX_FRAMES, STEADY};
 pub use surface::Surface;
-pub use texture::{TexturedLayer, compose, texture};
+pub use texture::{TexturedLayer, Uncoloured, compose, texture};
 pub(crate) use texture::{join, texture_tiles};

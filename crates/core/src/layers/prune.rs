@@ -72,15 +72,17 @@ impl Geometry {
 /// Bounds of the non-zero entries in a mask that is `w` pixels wide; `None` if there are none.
 pub(super) fn extent(mask: &[u8], w: usize) -> Option<Rect> {
     let full = |c: &u8| *c != 0;
-    let y0 = mask.iter().position(full)? / w;
-    let y1 = mask.iter().rposition(full)? / w + 1;
-    let (mut x0, mut x1) = (w, 0);
-    for row in mask[y0 * w..y1 * w].chunks(w) {
-        // only entries outside the current bounds can widen them
-        x0 = row[..x0].iter().position(full).unwrap_or(x0);
-        x1 = row[x1..].iter().rposition(full).map_or(x1, |x| x1 + x + 1);
+    // whole rows at a time, without an early exit, which would not vectorise
+    let any = |row: &[u8]| row.iter().fold(0, |any, c| any | c) != 0;
+    let (y0, last) = (mask.chunks(w).position(any)?, mask.chunks(w).rposition(any)?);
+    let mut columns = vec![0u8; w];
+    for row in mask.chunks(w).skip(y0).take(last + 1 - y0) {
+        for (column, c) in columns.iter_mut().zip(row) {
+            *column |= c;
+        }
     }
-    Some(Rect { x: x0 as u32, y: y0 as u32, w: (x1 - x0) as u32, h: (y1 - y0) as u32 })
+    let (x0, right) = (columns.iter().position(full)?, columns.iter().rposition(full)?);
+    Some(Rect { x: x0 as u32, y: y0 as u32, w: (right + 1 - x0) as u32, h: (last + 1 - y0) as u32 })
 }
 
 #[cfg(test)]

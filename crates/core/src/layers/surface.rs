@@ -1,14 +1,19 @@
 //! The visible surface: δ at each pixel of the photo.
 
+use std::convert::Infallible;
 use std::ops::Range;
 
 use super::coarse_surface::CoarseSurface;
 use super::visibility_kernels::{Columns, nearest};
 use super::{Geometry, TileFrame};
+use crate::parallel;
 use crate::scene::Rect;
+use crate::simd::dispatch;
 
 /// Difference in δ from which a pixel's colour is mixed with that of a nearer neighbour.
 const TOUCH: f64 = 0.03;
+/// Rows of pixels that one thread computes at a time.
+const BAND: usize = 32;
 
 /// δ of the visible surface for some rows of the photo, row-major. Where tiles overlap, the last tile counts.
 #[derive(Clone)]
@@ -24,23 +29,14 @@ pub struct Surface {
 impl Surface {
     /// The surface of some rows. These must be whole blocks, or end with the photo, if pruning searches blocks.
     pub(super) fn of(geometry: &Geometry, rows: Range<u32>) -> Self {
-        let (grid, width) = (&geometry.grid, geometry.grid.width as usize);
+        let width = geometry.grid.width as usize;
         let mut surface = Self { width, top: rows.start, delta: vec![0.0; width * rows.len()], coarse: None };
-        let (mut us, mut planes) = (Vec::new(), Vec::new());
-        for (i, t) in (0..).zip(&geometry.tiles) {
-            let r = grid.rect(i);
-            let own = r.y.max(rows.start)..(r.y + r.h).min(rows.end);
-            if own.is_empty() {
-                continue;
-            }
-            let place = TileFrame::of(grid, i);
-            place.columns(r.x, r.w, &mut us);
-            let columns = Columns { us: &us, labels: &t.labels, planes: &t.planes };
-            for y in own {
-                let at = surface.at(r.x, y);
-                columns.visible((y - r.y) as usize, place.v(y), &mut planes, &mut surface.delta[at..at + r.w as usize]);
-            }
-        }
+        let bands = (rows.start..).step_by(BAND).zip(surface.delta.chunks_mut(width * BAND)).collect();
+        let done = parallel::try_each(bands, |(top, band): (u32, &mut [f32])| {
+            visible(geometry, top, band);
+            Ok::<(), Infallible>(())
+        });
+        let Ok(()) = done;
         surface.coarse = geometry.searches_blocks().then(|| CoarseSurface::of(width, surface.top, &surface.delta));
         surface
     }
@@ -52,7 +48,7 @@ impl Surface {
 
     /// The greatest δ in a window, at least 0; with `in_blocks`, of all blocks that overlap it.
     pub(super) fn nearest(&self, win: Rect, in_blocks: bool) -> f64 {
-        let of_pixels = || (win.y..win.y + win.h).map(|y| nearest(self.row(win.x, y, win.w))).fold(0.0, f32::max);
+        let of_pixels = || nearest(&self.delta[self.at(win.x, win.y)..], self.width, win.w as usize, win.h as usize);
         f64::from(self.coarse().filter(|_| in_blocks).map_or_else(of_pixels, |coarse| coarse.nearest(win)))
     }
 
@@ -86,26 +82,82 @@ impl Surface {
     /// Sets mixed pixels, those that touch a nearer surface, to infinity.
     pub(super) fn exclude_mixed(&mut self) {
         let width = self.width;
-        let mut above = vec![f32::NEG_INFINITY; width];
+        // the rows beside a band, before any pixel is excluded
+        let rows: Vec<&[f32]> = self.delta.chunks(width).collect();
+        let beside = |row: Option<usize>| row.and_then(|row| rows.get(row)).copied().unwrap_or_default().to_vec();
+        let edges: Vec<Edges> = (0..rows.len())
+            .step_by(BAND)
+            .map(|first| Edges { above: beside(first.checked_sub(1)), below: beside(Some(first + BAND)) })
+            .collect();
+        let bands = self.delta.chunks_mut(width * BAND).zip(edges).collect();
+        let done = parallel::try_each(bands, |(band, edges): (&mut [f32], Edges)| {
+            edges.exclude_mixed(band, width);
+            Ok::<(), Infallible>(())
+        });
+        let Ok(()) = done;
+    }
+}
+
+/// Writes δ of the visible surface into some rows of the photo, from row `top` on.
+fn visible(geometry: &Geometry, top: u32, band: &mut [f32]) {
+    let (grid, width) = (&geometry.grid, geometry.grid.width as usize);
+    let rows = top..top + (band.len() / width) as u32;
+    // rows of tiles that overlap these rows of pixels
+    let first = if top < grid.size { 0 } else { (top - grid.size) / grid.stride + 1 };
+    let last = (rows.end - 1) / grid.stride;
+    let tiles = [first, last + 1].map(|row| (row * grid.columns()) as usize);
+    let (mut us, mut planes) = (Vec::new(), Vec::new());
+    for (i, t) in geometry.tiles.iter().enumerate().take(tiles[1]).skip(tiles[0]) {
+        let r = grid.rect(i as u32);
+        let place = TileFrame::of(grid, i as u32);
+        place.columns(r.x, r.w, &mut us);
+        let columns = Columns { us: &us, labels: &t.labels, planes: &t.planes };
+        for y in r.y.max(rows.start)..(r.y + r.h).min(rows.end) {
+            let at = (y - top) as usize * width + r.x as usize;
+            columns.visible((y - r.y) as usize, place.v(y), &mut planes, &mut band[at..at + r.w as usize]);
+        }
+    }
+}
+
+/// The rows above and below some rows; empty at the ends of the surface.
+struct Edges {
+    above: Vec<f32>,
+    below: Vec<f32>,
+}
+
+impl Edges {
+    fn exclude_mixed(self, band: &mut [f32], width: usize) {
+        let Self { mut above, below: end } = self;
         // padded by one pixel at both ends
-        let (mut here, mut nearest) = (above.clone(), vec![f32::NEG_INFINITY; width + 2]);
-        let rows = self.delta.len() / width;
-        for y in 0..rows {
-            let (row, below) = self.delta[y * width..].split_at_mut(width);
-            here.copy_from_slice(row);
-            nearest[1..=width].copy_from_slice(row);
-            for other in [&above[..], below.get(..width).unwrap_or_default()] {
-                for (n, &d) in nearest[1..].iter_mut().zip(other) {
-                    *n = if d > *n { d } else { *n };
-                }
-            }
-            let larger = |a: f32, b: f32| if b > a { b } else { a };
-            let beside = nearest.iter().zip(&nearest[1..]).zip(&nearest[2..]);
-            for (d, ((before, at), after)) in row.iter_mut().zip(beside) {
-                let most = larger(larger(*at, *before), *after);
-                *d = if f64::from(most) - f64::from(*d) > TOUCH { f32::INFINITY } else { *d };
-            }
+        let (mut here, mut nearest) = (Vec::with_capacity(width), vec![f32::NEG_INFINITY; width + 2]);
+        for y in 0..band.len() / width {
+            let (row, below) = band[y * width..].split_at_mut(width);
+            here.clear();
+            here.extend_from_slice(row);
+            exclude(row, &above, below.get(..width).unwrap_or(&end), &mut nearest);
             std::mem::swap(&mut above, &mut here);
         }
+    }
+}
+
+dispatch!(
+    /// Sets the mixed pixels of a row to infinity. `nearest` is scratch memory, longer by one pixel at both ends, which are infinitely far.
+    exclude, exclude_body, (row: &mut [f32], above: &[f32], below: &[f32], nearest: &mut [f32])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loops must be compiled with the caller's target features")]
+fn exclude_body(row: &mut [f32], above: &[f32], below: &[f32], nearest: &mut [f32]) {
+    nearest[1..=row.len()].copy_from_slice(row);
+    let larger = |a: f32, b: f32| if b > a { b } else { a };
+    for other in [above, below] {
+        for (n, d) in nearest[1..].iter_mut().zip(other) {
+            *n = larger(*n, *d);
+        }
+    }
+    let beside = nearest.iter().zip(&nearest[1..]).zip(&nearest[2..]);
+    for (d, ((before, at), after)) in row.iter_mut().zip(beside) {
+        let most = larger(larger(*at, *before), *after);
+        *d = if f64::from(most) - f64::from(*d) > TOUCH { f32::INFINITY } else { *d };
     }
 }

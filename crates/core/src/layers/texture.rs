@@ -12,6 +12,29 @@ pub struct TexturedLayer {
     pub hidden: Vec<[u8; 3]>,
 }
 
+/// Layers whose hidden texels have no colours yet: all that a scene's layers take from its geometry, so that it can be computed before the
+/// photo is known.
+pub struct Uncoloured {
+    masks: Vec<LayerMasks>,
+    /// δ of the visible surface, infinite at mixed pixels.
+    sources: Surface,
+}
+
+impl Uncoloured {
+    /// Layers of all tiles.
+    pub fn of(geometry: &Geometry) -> Self {
+        let mut sources = geometry.surface();
+        let masks = geometry.masks_of(0..geometry.tiles.len() as u32, &sources, false);
+        sources.exclude_mixed();
+        Self { masks, sources }
+    }
+
+    /// Colours the hidden texels, as [`texture`] does; `geometry` is the one that the layers are of.
+    pub fn texture(self, photo: &Photo, geometry: &Geometry) -> Vec<Vec<TexturedLayer>> {
+        texture_from(geometry, self.sources, &photo.rgb, 0, self.masks)
+    }
+}
+
 /// Colours the hidden texels of all layers from the photo's pixels at or behind each layer. Mattes depth borders if `geometry.matted`.
 pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
     texture_tiles(geometry, geometry.surface(), &photo.rgb, 0, shapes)
@@ -20,13 +43,19 @@ pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> V
 /// Like [`texture`] for some tiles from index `first` on. `surface` and `rgb` cover the same rows, all that these tiles depend on.
 pub(crate) fn texture_tiles(
     geometry: &Geometry,
-    surface: Surface,
+    mut surface: Surface,
     rgb: &[[u8; 3]],
     first: u32,
     shapes: Vec<LayerMasks>,
 ) -> Vec<Vec<TexturedLayer>> {
-    let photo = Rows { top: surface.top(), rgb };
-    let colours = Inpainter::with_surface(geometry.grid, surface, rgb).fill_tiles(first, &shapes);
+    surface.exclude_mixed();
+    texture_from(geometry, surface, rgb, first, shapes)
+}
+
+/// Like [`texture_tiles`] with a surface from which mixed pixels are already excluded.
+fn texture_from(geometry: &Geometry, sources: Surface, rgb: &[[u8; 3]], first: u32, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
+    let photo = Rows { top: sources.top(), rgb };
+    let colours = Inpainter::with_sources(geometry.grid, sources, rgb).fill_tiles(first, &shapes);
     let tile = |(s, c): (LayerMasks, Vec<_>)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect();
     let mut tiles: Vec<Vec<TexturedLayer>> = shapes.into_iter().zip(colours).map(tile).collect();
     if geometry.matted {

@@ -18,19 +18,26 @@ impl Columns<'_> {
     /// Computes δ of the visible surface along row `y` of the tile, whose coordinate is `v`; `planes` is scratch memory.
     pub fn visible(&self, y: usize, v: f64, planes: &mut Vec<[f64; 2]>, out: &mut [f32]) {
         let labels = &self.labels[y * self.us.len()..][..self.us.len()];
-        match labels.first() {
-            // most rows lie on one plane
-            Some(&first) if labels.iter().all(|&l| l == first) => disparities(self.us, v, &self.planes[first as usize], out),
-            _ => {
-                planes.clear();
-                planes.extend(self.planes.iter().map(|p| [p.b, p.c * v]));
-                for ((o, &l), u) in out.iter_mut().zip(labels).zip(self.us) {
-                    let [b, cv] = planes[l as usize];
-                    *o = (self.planes[l as usize].a + b * u + cv) as f32;
-                }
-            }
+        // most rows lie on one plane
+        if let Some(label) = only_label(labels) {
+            disparities(self.us, v, &self.planes[usize::from(label)], out);
+            return;
+        }
+        planes.clear();
+        planes.extend(self.planes.iter().map(|p| [p.b, p.c * v]));
+        for ((o, &l), u) in out.iter_mut().zip(labels).zip(self.us) {
+            let [b, cv] = planes[l as usize];
+            *o = (self.planes[l as usize].a + b * u + cv) as f32;
         }
     }
+}
+
+/// The label that all pixels of a row have; `None` if they differ, or if there are none.
+fn only_label(labels: &[u8]) -> Option<u8> {
+    let first = *labels.first()?;
+    // without an early exit, which would not vectorise
+    let differs = labels.iter().fold(0, |differs, label| differs | (label ^ first));
+    (differs == 0).then_some(first)
 }
 
 dispatch!(
@@ -61,7 +68,8 @@ fn behind_body(own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, m
     for (((m, &d), &v), &l) in mask.iter_mut().zip(own).zip(visible).zip(labels) {
         *m = u8::from(l != label) & u8::from(d < v) & u8::from(d >= 0.0);
     }
-    mask.iter().map(|&m| usize::from(m)).sum()
+    // in bytes, which vectorise best, as long as they hold the count
+    mask.chunks(128).map(|part| usize::from(part.iter().sum::<u8>())).sum()
 }
 
 dispatch!(
@@ -133,21 +141,26 @@ fn open_body(us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mas
 const LANES: usize = 8;
 
 dispatch!(
-    /// The maximum of the values, at least 0.
-    pub nearest, nearest_body, (surface: &[f32]) -> f32
+    /// The maximum of some columns and rows from the first value on, at least 0; rows are `stride` values apart.
+    pub nearest, nearest_body, (surface: &[f32], stride: usize, columns: usize, rows: usize) -> f32
 );
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
-fn nearest_body(surface: &[f32]) -> f32 {
+fn nearest_body(surface: &[f32], stride: usize, columns: usize, rows: usize) -> f32 {
     let mut most = [0f32; LANES];
-    let (chunks, rest) = surface.as_chunks::<LANES>();
-    for chunk in chunks {
-        for (m, &d) in most.iter_mut().zip(chunk) {
+    for row in surface.chunks(stride).take(rows) {
+        let (chunks, rest) = row[..columns].as_chunks::<LANES>();
+        for chunk in chunks {
+            for (m, &d) in most.iter_mut().zip(chunk) {
+                *m = if d > *m { d } else { *m };
+            }
+        }
+        for (m, &d) in most.iter_mut().zip(rest) {
             *m = if d > *m { d } else { *m };
         }
     }
-    rest.iter().chain(&most).fold(0.0, |m, &d| if d > m { d } else { m })
+    most.into_iter().fold(0.0, |m, d| if d > m { d } else { m })
 }
 
 #[cfg(test)]
@@ -182,7 +195,11 @@ mod tests {
                 want_count += usize::from(is);
             }
             prop_assert_eq!(count, want_count);
-            prop_assert_eq!(nearest(surface).to_bits(), surface.iter().copied().fold(0.0, f32::max).to_bits());
+            prop_assert_eq!(nearest(surface, n, n, 1).to_bits(), surface.iter().copied().fold(0.0, f32::max).to_bits());
+            let (stride, columns) = (n.div_ceil(3), n.div_ceil(5));
+            let rows = n / stride;
+            let inside = (0..rows * stride).filter(|i| i % stride < columns).map(|i| surface[i]);
+            prop_assert_eq!(nearest(surface, stride, columns, rows).to_bits(), inside.fold(0.0, f32::max).to_bits());
         }
     }
 }

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use tmpi_core::{DisparityMap, Geometry, Grid, Plane, Rect, Tile, TileFrame, grown};
 
-use crate::planes::fit_points;
+use crate::planes::Moments;
 
 /// Margin around a tile, in pixels, from which a background plane is fitted.
 const BACKGROUND_REACH: u32 = 32;
@@ -12,6 +12,9 @@ const BACKGROUND_REACH: u32 = 32;
 const NEXT_REACH: u32 = 96;
 /// How much farther than the whole tile these pixels must be, in δ.
 const BACKGROUND_STEP: f32 = 0.05;
+
+/// Most tiles that a thread takes before another can take over the rest.
+const MAX_PIECE: usize = 8;
 
 /// Which pixels of a margin a background plane is fitted to, and how many it takes. `tmpi-lab bench --only backgrounds` compares other
 /// rules than the default.
@@ -61,10 +64,11 @@ fn add_sampled(geometry: &mut Geometry, delta: &DisparityMap, wanted: impl Fn(u3
     // in a room's first frames some tiles may have no planes yet, and show nothing to uncover
     let of = |(i, t): (usize, &Tile)| if t.planes.is_empty() { f32::INFINITY } else { t.min_disparity(&grid, i as u32) };
     let farthest: Vec<f32> = geometry.tiles.par_iter().enumerate().map(of).collect();
-    geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
+    let tiles = geometry.tiles.par_iter_mut().with_max_len(MAX_PIECE).enumerate();
+    tiles.filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |us, (i, t)| {
         let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
         let uncovers = |reach: &u32| *reach == BACKGROUND_REACH || may_uncover(&grid, i as u32, &farthest, *reach);
-        let within = |reach: u32| background(delta, grown(r, reach, reach, &grid), (r, place), farthest[i], samples.within(reach), points);
+        let within = |reach: u32| background(delta, grown(r, reach, reach, &grid), (r, place), farthest[i], samples.within(reach), us);
         t.background = margins(farthest_reach).filter(uncovers).find_map(within);
     });
 }
@@ -85,38 +89,39 @@ fn may_uncover(grid: &Grid, index: u32, farthest: &[f32], reach: u32) -> bool {
 }
 
 /// Fits a plane to background that only the neighbourhood shows, from every `step`th pixel of every `step`th row, if these are at least
-/// `fewest`. Without it, gaps wider than the tile's reach stay empty.
+/// `fewest`. Without it, gaps wider than the tile's reach stay empty. `us` is scratch memory.
 fn background(
     delta: &DisparityMap,
     win: Rect,
     (r, place): (Rect, TileFrame),
     farthest: f32,
     (step, fewest): (usize, usize),
-    points: &mut Vec<(f64, f64, f64, f64)>,
+    us: &mut Vec<f64>,
 ) -> Option<Plane> {
-    points.clear();
+    place.columns(win.x, win.w, us);
     let far = farthest - BACKGROUND_STEP;
+    let (left, right, end) = ((r.x - win.x) as usize, (r.x + r.w - win.x) as usize, win.w as usize);
+    let mut points = Moments::default();
     for y in (win.y..win.y + win.h).step_by(step) {
-        let (row, v) = (&delta.delta[y as usize * delta.width as usize..], place.v(y));
+        let (row, v) = (&delta.delta[y as usize * delta.width as usize + win.x as usize..][..end], place.v(y));
         // in the tile's own rows, only left and right of it
-        let beside = if (r.y..r.y + r.h).contains(&y) { [win.x..r.x, r.x + r.w..win.x + win.w] } else { [win.x..win.x + win.w, 0..0] };
+        let beside = if (r.y..r.y + r.h).contains(&y) { [0..left, right..end] } else { [0..end, 0..0] };
         for part in beside {
-            for (x, &d) in (part.start..).zip(&row[part.start as usize..part.end as usize]).step_by(step) {
-                if d < far {
-                    points.push(((f64::from(x) + 0.5 - place.centre.0) / place.half, v, f64::from(d), 1.0));
+            for (u, d) in us[part.clone()].iter().zip(&row[part]).step_by(step) {
+                if *d < far {
+                    points.add(*u, v, f64::from(*d), 1.0);
                 }
             }
         }
     }
-    if points.len() < fewest {
+    if points.weight() < fewest as f64 {
         return None;
     }
-    let plane = fit_points(points.iter().copied())?;
+    let plane = points.plane()?;
     // extrapolated into the tile, the plane must stay behind everything there; else its slope is not reliable
-    let mean = points.iter().map(|q| q.2).sum::<f64>() / points.len() as f64;
     let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(u, v)| plane.disparity(u, v));
     let sane = corners.iter().all(|&d| d >= 0.0 && d < f64::from(farthest));
-    Some(if sane { plane } else { Plane::fronto_parallel(mean) }.quantised())
+    Some(if sane { plane } else { Plane::fronto_parallel(points.mean()) }.quantised())
 }
 
 #[cfg(test)]

@@ -51,9 +51,9 @@ pub fn fit(s: &Samples, most: usize, target: Option<f64>) -> Vec<Plane> {
     best
 }
 
-/// Weighted moments of a cluster; coordinates are of order 1, so they need no shift before summation.
+/// Weighted moments of a cluster, or of other points; coordinates are of order 1, so they need no shift before summation.
 #[derive(Clone, Copy, Default)]
-struct Moments {
+pub(crate) struct Moments {
     w: f64,
     u: f64,
     v: f64,
@@ -73,7 +73,8 @@ impl From<Sums> for Moments {
 }
 
 impl Moments {
-    fn add(&mut self, u: f64, v: f64, d: f64, w: f64) {
+    /// Adds a point at `(u, v)` with the disparity `d` and the weight `w`.
+    pub(crate) fn add(&mut self, u: f64, v: f64, d: f64, w: f64) {
         self.w += w;
         self.u += w * u;
         self.v += w * v;
@@ -85,8 +86,18 @@ impl Moments {
         self.vd += w * v * d;
     }
 
+    /// Sum of the weights.
+    pub(crate) fn weight(&self) -> f64 {
+        self.w
+    }
+
+    /// Mean disparity.
+    pub(crate) fn mean(&self) -> f64 {
+        self.d / self.w
+    }
+
     /// Plane by ridge least squares, with slopes clamped to [`MAX_SLOPE`]; `None` without weight.
-    fn plane(&self) -> Option<Plane> {
+    pub(crate) fn plane(&self) -> Option<Plane> {
         if self.w <= 0.0 {
             return None;
         }
@@ -100,15 +111,6 @@ impl Moments {
         let p = Plane { a: md - b * mu - c * mv, b, c };
         Some(if p.is_finite() { p } else { Plane::fronto_parallel(md) })
     }
-}
-
-/// Plane fitted to points `(u, v, δ, weight)` by ridge least squares; `None` if they have no weight.
-pub(crate) fn fit_points(points: impl Iterator<Item = (f64, f64, f64, f64)>) -> Option<Plane> {
-    let mut m = Moments::default();
-    for (u, v, d, w) in points {
-        m.add(u, v, d, w);
-    }
-    m.plane()
 }
 
 fn fit_all(s: &Samples) -> Plane {

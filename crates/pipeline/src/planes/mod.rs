@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 pub use exact_k_means::ClusterTable;
 use k_means::Histogram;
-pub(crate) use k_planes::fit_points;
+pub(crate) use k_planes::Moments;
 pub use label_smoothing::{NEIGHBOUR_COST, smooth_labels};
 pub use sample::Samples;
 pub(crate) use sample::percentile_99;

@@ -4,14 +4,14 @@ use std::ops::Range;
 
 use super::super::visibility_kernels::Columns;
 use super::super::{Geometry, TileFrame};
-use super::matte::{Matte, Side};
+use super::matte::{Matte, Mattes};
+use super::sides::{self, COLUMNS, Pixels, Sides, WINDOW};
+use crate::scene::packed_rgb::{of_word, words};
 use crate::scene::{Grid, Plane, Rect};
 use crate::simd::dispatch;
 
 /// Width, in pixels, of the band on the far side of a border whose colours are mixed.
 pub(super) const BAND: usize = 2;
-/// Half the size, in pixels, of the window around a pixel that supplies the colours of either side.
-const WINDOW: usize = 4;
 /// A border is matted if its sides differ by more than `MIN_STEP` in δ, and move against each other by more than `MIN_MOTION` pixels over
 /// the view box. Smaller steps are part of one object, or uncover nothing.
 const MIN_STEP: f64 = 0.05;
@@ -37,7 +37,7 @@ pub(crate) struct Rows<'a> {
     pub rgb: &'a [[u8; 3]],
 }
 
-/// Scratch memory, reused from tile to tile.
+/// Scratch memory, reused from tile to tile. All but `us` and `planes` have [`COLUMNS`] values more than the tile has pixels.
 #[derive(Default)]
 pub(super) struct Scratch {
     us: Vec<f64>,
@@ -47,6 +47,9 @@ pub(super) struct Scratch {
     most: Vec<f32>,
     least: Vec<f32>,
     column: Vec<f32>,
+    /// Colours as words, and the sums of the squares of their channels.
+    words: Vec<u32>,
+    squares: Vec<u32>,
 }
 
 /// Pixels that a tile owns. Overlapping tiles divide the overlap in the middle, so each tile has the surroundings of its own pixels.
@@ -70,33 +73,45 @@ struct Tile<'a> {
     labels: &'a [u8],
     planes: &'a [Plane],
     index: u32,
+    /// Columns and rows of tiles.
+    columns: u32,
+    rows: u32,
 }
 
 /// Pixels beside a border that tile `index` owns in the rows `wanted`, row by row.
 #[inline(never)]
 pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, photo: Rows, s: &mut Scratch) -> Vec<BorderPixel> {
-    let (grid, tile) = (&geometry.grid, &geometry.tiles[index as usize]);
-    let r = grid.rect(index);
+    let tile = Tile::of(geometry, index);
+    let r = tile.r;
     let mut out = Vec::new();
     if tile.planes.len() < 2 || tile.labels.len() != r.area() {
         return out;
     }
     let (right, down) = geometry.view_box.parallax(&geometry.intrinsics, r);
     let step = (MIN_MOTION / right.max(down)).max(MIN_STEP) as f32;
-    let tile = Tile { geometry, r, frame: TileFrame::of(grid, index), labels: &tile.labels, planes: &tile.planes, index };
-    tile.compute_surface(s);
-    let own = owned(grid, index);
+    tile.compute_visible(s);
+    // nothing beside a pixel is farther in front of it than the nearest pixel is in front of the farthest
+    if spread(&s.visible[..r.area()]) <= step {
+        return out;
+    }
+    tile.compute_most(s);
+    let own = owned(&geometry.grid, index);
     let rows = own.y.max(wanted.start)..(own.y + own.h).min(wanted.end);
     let w = r.w as usize;
-    for y in rows {
-        let first = (y - r.y) as usize * w + (own.x - r.x) as usize;
-        let (visible, most) = (&s.visible[first..][..own.w as usize], &s.most[first..][..own.w as usize]);
-        if !steps(visible, most, step) {
+    let mut is_prepared = false;
+    for y in rows.clone() {
+        let row = (y - r.y) as usize * w + (own.x - r.x) as usize;
+        let row = row..row + own.w as usize;
+        if !steps(&s.visible[row.clone()], &s.most[row.clone()], step) {
             continue;
         }
-        for (i, (d, m)) in visible.iter().zip(most).enumerate() {
-            if m - d > step
-                && let Some(pixel) = tile.border_pixel(own.x as usize - r.x as usize + i, (y - r.y) as usize, photo, s)
+        if !is_prepared {
+            tile.prepare(&rows, photo, s);
+            is_prepared = true;
+        }
+        for at in row {
+            if s.most[at] - s.visible[at] > step
+                && let Some(pixel) = tile.border_pixel(at % w, at / w, s)
             {
                 out.push(pixel);
             }
@@ -104,6 +119,34 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
     }
     out
 }
+
+/// Pixels within [`BAND`] rows and columns of a pixel, by how far to the right and down they are: nearest first, and those as near row by row.
+const NEIGHBOURS: [[isize; 2]; 24] = [
+    [0, -1],
+    [-1, 0],
+    [1, 0],
+    [0, 1],
+    [-1, -1],
+    [1, -1],
+    [-1, 1],
+    [1, 1],
+    [0, -2],
+    [-2, 0],
+    [2, 0],
+    [0, 2],
+    [-1, -2],
+    [1, -2],
+    [-2, -1],
+    [2, -1],
+    [-2, 1],
+    [2, 1],
+    [-1, 2],
+    [1, 2],
+    [-2, -2],
+    [2, -2],
+    [-2, 2],
+    [2, 2],
+];
 
 /// The nearest foreground pixel.
 #[derive(Clone, Copy)]
@@ -113,33 +156,60 @@ struct Nearest {
     off: [isize; 2],
 }
 
-/// Mattes of a pixel behind a border.
-struct Mattes {
-    /// If its colour is a mixture of both sides.
-    mixture: Option<Matte>,
-    /// If its colour does not belong to a plain far side.
-    halo: Option<Matte>,
-}
+impl<'a> Tile<'a> {
+    fn of(geometry: &'a Geometry, index: u32) -> Self {
+        let (grid, tile) = (&geometry.grid, &geometry.tiles[index as usize]);
+        Self {
+            geometry,
+            r: grid.rect(index),
+            frame: TileFrame::of(grid, index),
+            labels: &tile.labels,
+            planes: &tile.planes,
+            index,
+            columns: grid.columns(),
+            rows: grid.rows(),
+        }
+    }
 
-impl Tile<'_> {
-    /// Computes the visible surface, and its extremes around each pixel.
-    fn compute_surface(&self, s: &mut Scratch) {
-        let (w, h) = (self.r.w as usize, self.r.h as usize);
+    /// Computes δ of the visible surface.
+    fn compute_visible(&self, s: &mut Scratch) {
+        let (w, count) = (self.r.w as usize, self.r.area());
         for all in [&mut s.visible, &mut s.most, &mut s.least, &mut s.column] {
-            all.resize(w * h, 0.0);
+            all.resize(count + COLUMNS, 0.0);
         }
         self.frame.columns(self.r.x, self.r.w, &mut s.us);
         let columns = Columns { us: &s.us, labels: self.labels, planes: self.planes };
-        for (y, row) in s.visible.chunks_mut(w).enumerate() {
+        for (y, row) in s.visible[..count].chunks_mut(w).enumerate() {
             columns.visible(y, self.frame.v(self.r.y + y as u32), &mut s.planes, row);
         }
-        extreme(&s.visible, w, &mut s.column, &mut s.most, BAND, larger_of);
-        extreme(&s.visible, w, &mut s.column, &mut s.least, 1, smaller_of);
+    }
+
+    /// Computes its maximum around each pixel.
+    fn compute_most(&self, s: &mut Scratch) {
+        let (w, count) = (self.r.w as usize, self.r.area());
+        largest(&s.visible[..count], w, &mut s.column[..count], &mut s.most[..count]);
+    }
+
+    /// Computes its minimum around each pixel, and copies the colours in windows around pixels of these rows of the photo, and around pixels
+    /// between these and a border.
+    fn prepare(&self, rows: &Range<u32>, photo: Rows, s: &mut Scratch) {
+        let (w, width, count) = (self.r.w as usize, self.geometry.grid.width as usize, self.r.area());
+        smallest(&s.visible[..count], w, &mut s.column[..count], &mut s.least[..count]);
+        for all in [&mut s.words, &mut s.squares] {
+            all.resize(count + COLUMNS, 0);
+        }
+        let around = (WINDOW + BAND) as u32;
+        for y in rows.start.saturating_sub(around).max(self.r.y)..(rows.end + around).min(self.r.y + self.r.h) {
+            let from = (y - photo.top) as usize * width + self.r.x as usize;
+            let to = (y - self.r.y) as usize * w;
+            words(&photo.rgb[from..from + w], &mut s.words[to..to + w]);
+            sides::squares(&s.words[to..to + w], &mut s.squares[to..to + w]);
+        }
     }
 
     /// The matte of pixel `(x, y)` of the tile, which lies beside a nearer surface. `None` if the colours do not determine one, or if tiles
     /// disagree.
-    fn border_pixel(&self, x: usize, y: usize, photo: Rows, s: &Scratch) -> Option<BorderPixel> {
+    fn border_pixel(&self, x: usize, y: usize, s: &Scratch) -> Option<BorderPixel> {
         let w = self.r.w as usize;
         let at = y * w + x;
         let (far, most) = (s.visible[at], s.most[at]);
@@ -149,47 +219,39 @@ impl Tile<'_> {
         if !self.others_agree(px, py, middle) {
             return None;
         }
-        let Mattes { mixture, halo } = self.mattes(x, y, middle, photo, s);
+        let Mattes { mixture, halo } = self.mattes(x, y, middle, s);
         let fades = |mixture: &Matte| {
             // between this pixel and the border, colours are mixed even more
             let between = |at: usize, off: isize| at.saturating_add_signed(off - off / 2);
             let (u, v) = (between(x, off[0]), between(y, off[1]));
             off == off.map(isize::signum)
                 || s.visible[v * w + u] >= middle
-                || self.mattes(u, v, middle, photo, s).mixture.is_some_and(|m| m.alpha >= mixture.alpha)
+                || self.mattes(u, v, middle, s).mixture.is_some_and(|m| m.alpha >= mixture.alpha)
         };
         let matte = halo.or_else(|| mixture.filter(fades))?;
         Some(BorderPixel { x: px, y: py, near, matte })
     }
 
     /// Mattes of pixel `(x, y)`, which lies behind `middle`.
-    fn mattes(&self, x: usize, y: usize, middle: f32, photo: Rows, s: &Scratch) -> Mattes {
-        let far = s.visible[y * self.r.w as usize + x];
-        let (front, back) = self.sides(x, y, [far, middle], photo, s);
-        let (px, py) = (self.r.x as usize + x, self.r.y as usize + y - photo.top as usize);
-        let colour = photo.rgb[py * self.geometry.grid.width as usize + px];
-        let mixture = Matte::of(colour, &front, &back);
-        Mattes { mixture, halo: Matte::halo(colour, mixture, &front, &back) }
+    fn mattes(&self, x: usize, y: usize, middle: f32, s: &Scratch) -> Mattes {
+        let at = y * self.r.w as usize + x;
+        let Sides { front, back } = self.sides(x, y, [s.visible[at], middle], s);
+        Mattes::of(of_word(s.words[at]), &front, &back)
     }
 
     /// The nearest pixel in front of `middle` whose plane is also in front at `(x, y)`.
     fn nearest(&self, x: usize, y: usize, middle: f32, s: &Scratch) -> Option<Nearest> {
         let (w, h) = (self.r.w as usize, self.r.h as usize);
-        let mut best: Option<(usize, Nearest)> = None;
-        for v in y.saturating_sub(BAND)..(y + BAND + 1).min(h) {
-            for u in x.saturating_sub(BAND)..(x + BAND + 1).min(w) {
-                let off = u.abs_diff(x).pow(2) + v.abs_diff(y).pow(2);
-                if s.visible[v * w + u] < middle || best.is_some_and(|(least, _)| least <= off) {
-                    continue;
-                }
-                let label = self.labels[v * w + u];
-                let plane = &self.planes[usize::from(label)];
-                if self.frame.disparity(plane, self.r.x + x as u32, self.r.y + y as u32) > middle {
-                    best = Some((off, Nearest { label, off: [u as isize - x as isize, v as isize - y as isize] }));
-                }
+        let (px, py) = (self.r.x + x as u32, self.r.y + y as u32);
+        NEIGHBOURS.iter().find_map(|&off| {
+            let (u, v) = (x.checked_add_signed(off[0])?, y.checked_add_signed(off[1])?);
+            if u >= w || v >= h || s.visible[v * w + u] < middle {
+                return None;
             }
-        }
-        best.map(|(_, nearest)| nearest)
+            let label = self.labels[v * w + u];
+            let delta = self.frame.disparity(&self.planes[usize::from(label)], px, py);
+            (delta > middle).then_some(Nearest { label, off })
+        })
     }
 
     /// True if all other tiles with this pixel also show the far side there.
@@ -199,14 +261,14 @@ impl Tile<'_> {
             let first = if at < g.size { 0 } else { (at - g.size) / g.stride + 1 };
             first..(at / g.stride + 1).min(count)
         };
-        let columns = side(x, g.columns());
-        side(y, g.rows()).all(|row| {
+        let columns = side(x, self.columns);
+        side(y, self.rows).all(|row| {
             columns.clone().all(|column| {
-                let index = row * g.columns() + column;
-                let (r, tile) = (g.rect(index), &tiles[index as usize]);
+                let index = row * self.columns + column;
                 if index == self.index {
                     return true;
                 }
+                let (r, tile) = (g.rect(index), &tiles[index as usize]);
                 let label = tile.labels.get(((y - r.y) * r.w + x - r.x) as usize);
                 let plane = label.and_then(|l| tile.planes.get(usize::from(*l)));
                 plane.is_some_and(|p| TileFrame::of(g, index).disparity(p, x, y) < middle)
@@ -215,36 +277,15 @@ impl Tile<'_> {
     }
 
     /// Unmixed colours around pixel `(x, y)`: those nearer than `middle`, and those of the surface at `far`.
-    fn sides(&self, x: usize, y: usize, [far, middle]: [f32; 2], photo: Rows, s: &Scratch) -> (Side, Side) {
-        let (w, h) = (self.r.w as usize, self.r.h as usize);
-        let (mut front, mut back, mut thin) = (Side::default(), Side::default(), Side::default());
-        let columns = x.saturating_sub(WINDOW)..(x + WINDOW + 1).min(w);
+    fn sides(&self, x: usize, y: usize, [far, middle]: [f32; 2], s: &Scratch) -> Sides {
+        let Scratch { visible, most, words, squares, .. } = s;
+        let pixels = Pixels { width: self.r.w as usize, visible, most, words, squares };
         let farthest = far - (middle - far);
-        for v in y.saturating_sub(WINDOW)..(y + WINDOW + 1).min(h) {
-            let row = v * w;
-            let first = (self.r.y as usize + v - photo.top as usize) * self.geometry.grid.width as usize + self.r.x as usize;
-            let down = v.abs_diff(y);
-            for u in columns.clone() {
-                let weight = WEIGHTS[down][u.abs_diff(x)];
-                let (d, most) = (s.visible[row + u], s.most[row + u]);
-                if most < middle {
-                    if d > farthest {
-                        back.add(photo.rgb[first + u], weight);
-                    }
-                } else if d >= middle {
-                    let side = if s.least[row + u] >= middle { &mut front } else { &mut thin };
-                    side.add(photo.rgb[first + u], weight);
-                }
-            }
-        }
+        let sides = sides::around(pixels, &s.least, [x, y], farthest, middle);
         // a thin object has only pixels beside the border
-        (if front.weight > 0 { front } else { thin }, back)
+        if sides.front.weight > 0 { sides } else { sides::around(pixels, visible, [x, y], farthest, middle) }
     }
 }
-
-/// Weights of the colours in a window, by vertical and horizontal distance.
-const WEIGHTS: [[u32; WINDOW + 1]; WINDOW + 1] =
-    [[16, 15, 12, 9, 6], [15, 14, 11, 8, 5], [12, 11, 9, 7, 4], [9, 8, 7, 5, 3], [6, 5, 4, 3, 2]];
 
 dispatch!(
     /// True if anywhere in the row the maximum exceeds the visible δ by more than `step`.
@@ -257,42 +298,103 @@ fn steps_body(visible: &[f32], most: &[f32], step: f32) -> bool {
     visible.iter().zip(most).fold(0, |any, (d, m)| any | u8::from(m - d > step)) != 0
 }
 
-/// Replaces each value by the larger or smaller of it and another.
-type Pick = fn(&mut [f32], &[f32]);
+/// Number of lanes in the reduction.
+const LANES: usize = 8;
 
-dispatch!(larger_of, larger_of_body, (values: &mut [f32], others: &[f32]));
+dispatch!(
+    /// The difference between the largest and the smallest value.
+    spread, spread_body, (values: &[f32]) -> f32
+);
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
-fn larger_of_body(values: &mut [f32], others: &[f32]) {
-    for (v, &o) in values.iter_mut().zip(others) {
-        *v = if o > *v { o } else { *v };
+fn spread_body(values: &[f32]) -> f32 {
+    let (mut most, mut least) = ([f32::NEG_INFINITY; LANES], [f32::INFINITY; LANES]);
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for ((m, l), &d) in most.iter_mut().zip(&mut least).zip(chunk) {
+            *m = larger(*m, d);
+            *l = smaller(*l, d);
+        }
     }
+    let most = rest.iter().chain(&most).fold(f32::NEG_INFINITY, |m, &d| larger(m, d));
+    let least = rest.iter().chain(&least).fold(f32::INFINITY, |l, &d| smaller(l, d));
+    most - least
 }
 
-dispatch!(smaller_of, smaller_of_body, (values: &mut [f32], others: &[f32]));
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn larger(a: f32, b: f32) -> f32 {
+    if b > a { b } else { a }
+}
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn smaller(a: f32, b: f32) -> f32 {
+    if b < a { b } else { a }
+}
+
+dispatch!(
+    /// The maximum of the values within [`BAND`] rows and columns of each, `w` values to a row; `column` is scratch memory.
+    largest, largest_body, (values: &[f32], w: usize, column: &mut [f32], out: &mut [f32])
+);
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
-fn smaller_of_body(values: &mut [f32], others: &[f32]) {
-    for (v, &o) in values.iter_mut().zip(others) {
-        *v = if o < *v { o } else { *v };
-    }
+fn largest_body(values: &[f32], w: usize, column: &mut [f32], out: &mut [f32]) {
+    extreme(values, w, (column, out), BAND, larger);
+}
+
+dispatch!(
+    /// The minimum of the values within one row and column of each, `w` values to a row; `column` is scratch memory.
+    smallest, smallest_body, (values: &[f32], w: usize, column: &mut [f32], out: &mut [f32])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
+fn smallest_body(values: &[f32], w: usize, column: &mut [f32], out: &mut [f32]) {
+    extreme(values, w, (column, out), 1, smaller);
 }
 
 /// The extreme of the values within `by` rows and columns of each, `w` values to a row.
-fn extreme(values: &[f32], w: usize, column: &mut [f32], out: &mut [f32], by: usize, pick: Pick) {
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loops must be compiled with the caller's target features")]
+fn extreme(values: &[f32], w: usize, (column, out): (&mut [f32], &mut [f32]), by: usize, pick: impl Fn(f32, f32) -> f32 + Copy) {
     let all = values.len();
     column.copy_from_slice(values);
     for off in (1..=by).map(|n| (n * w).min(all)) {
-        pick(&mut column[off..], &values[..all - off]);
-        pick(&mut column[..all - off], &values[off..]);
+        replace(&mut column[off..], &values[..all - off], pick);
+        replace(&mut column[..all - off], &values[off..], pick);
     }
     out.copy_from_slice(column);
     for (out, row) in out.chunks_mut(w).zip(column.chunks(w)) {
         for off in (1..=by).map(|n| n.min(w)) {
-            pick(&mut out[off..], &row[..w - off]);
-            pick(&mut out[..w - off], &row[off..]);
+            replace(&mut out[off..], &row[..w - off], pick);
+            replace(&mut out[..w - off], &row[off..], pick);
         }
+    }
+}
+
+/// Replaces each value by what `pick` returns for it and another.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
+fn replace(values: &mut [f32], others: &[f32], pick: impl Fn(f32, f32) -> f32) {
+    for (value, other) in values.iter_mut().zip(others) {
+        *value = pick(*value, *other);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbours_are_all_pixels_of_the_band_nearest_first() {
+        let band = BAND as isize;
+        let mut want: Vec<[isize; 2]> =
+            (-band..=band).flat_map(|v| (-band..=band).map(move |u| [u, v])).filter(|off| *off != [0, 0]).collect();
+        // keeps the order of rows
+        want.sort_by_key(|[u, v]| u * u + v * v);
+        assert_eq!(NEIGHBOURS[..], want);
     }
 }

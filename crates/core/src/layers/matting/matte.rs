@@ -33,7 +33,7 @@ pub struct Side {
 
 impl Side {
     /// Adds a colour.
-    #[inline]
+    #[cfg(test)]
     pub fn add(&mut self, colour: [u8; 3], weight: u32) {
         let colour = colour.map(u32::from);
         self.weight += weight;
@@ -90,15 +90,31 @@ pub struct Matte {
     pub background: [u8; 3],
 }
 
+/// Mattes of a pixel behind a border.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mattes {
+    /// If its colour is a mixture of both sides.
+    pub mixture: Option<Matte>,
+    /// If its colour does not belong to a plain far side.
+    pub halo: Option<Matte>,
+}
+
+impl Mattes {
+    /// Decomposes `colour`, which lies between a `near` and a `far` side. Both are `None` if the sides cannot be told apart.
+    pub fn of(colour: [u8; 3], near: &Side, far: &Side) -> Self {
+        let Some(line) = Line::between(near, far) else { return Self { mixture: None, halo: None } };
+        let mixture = Matte::mixture(colour, &line);
+        Self { mixture, halo: Matte::halo(colour, mixture, &line, far.weight) }
+    }
+}
+
 impl Matte {
-    /// Decomposes `colour`, which lies between a `near` and a `far` side. `None` if the sides cannot be told apart, if `colour` is not a
-    /// mixture of them, or if it is all background.
+    /// Decomposes `colour` as a mixture of both sides. `None` if it is not one, or if it is all background.
     ///
     /// A deviation from the line between the two means is detail of the photo. Each side gets its share of it, so that a pixel that is
     /// almost all background keeps its colour.
-    pub fn of(colour: [u8; 3], near: &Side, far: &Side) -> Option<Self> {
-        let line = Line::between(near, far)?;
-        let Line { back, along, apart, .. } = line;
+    fn mixture(colour: [u8; 3], line: &Line) -> Option<Self> {
+        let &Line { back, along, apart, .. } = line;
         let share = line.share(colour).clamp(0.0, 1.0);
         let off: [f64; 3] = std::array::from_fn(|c| f64::from(colour[c]) - (back[c] + share * along[c]));
         let alpha = (255.0 * share + 0.5) as u8;
@@ -110,13 +126,13 @@ impl Matte {
         Some(Self::with(colour, background, alpha))
     }
 
-    /// Decomposes `colour` beside a plain `far` side that it does not belong to: a `mixture`, if it is one, or a colour beyond the far side,
-    /// as sharpening leaves it. The background is the mean of that side, and the foreground takes the whole difference, with the alpha of
-    /// the mixture, otherwise with the least. `None` if the far side is not plain, or if the difference may be noise or detail.
-    pub fn halo(colour: [u8; 3], mixture: Option<Self>, near: &Side, far: &Side) -> Option<Self> {
-        let line = Line::between(near, far)?;
+    /// Decomposes `colour` beside a plain far side, of this `weight`, that it does not belong to: a `mixture`, if it is one, or a colour
+    /// beyond the far side, as sharpening leaves it. The background is the mean of that side, and the foreground takes the whole difference,
+    /// with the alpha of the mixture, otherwise with the least. `None` if the far side is not plain, or if the difference may be noise or
+    /// detail.
+    fn halo(colour: [u8; 3], mixture: Option<Self>, line: &Line, weight: u32) -> Option<Self> {
         let off: f64 = colour.iter().zip(line.back).map(|(c, b)| (f64::from(*c) - b).powi(2)).sum();
-        let is_plain = far.weight >= PLAIN_WEIGHT && line.variance <= PLAIN * PLAIN;
+        let is_plain = weight >= PLAIN_WEIGHT && line.variance <= PLAIN * PLAIN;
         let may_be_noise = off <= NOISE * NOISE || off <= NOISE_DEVIATIONS * NOISE_DEVIATIONS * line.variance;
         let may_be_detail = mixture.is_none() && line.share(colour) > 0.0;
         if !is_plain || may_be_noise || may_be_detail {

@@ -7,6 +7,7 @@
 
 mod borders;
 mod matte;
+mod sides;
 #[cfg(test)]
 mod tests;
 
@@ -122,14 +123,34 @@ impl Near<'_> {
         let side = |at: u32, count: u32| at.saturating_sub(more)..(at + more + 1).min(count);
         let mut out = Vec::new();
         for row in side(index / columns, grid.rows()) {
-            for owner in side(index % columns, columns).map(|column| row * columns + column) {
-                let Some(pixels) = owner.checked_sub(self.first).and_then(|i| self.pixels.get(i as usize)) else { continue };
-                out.extend(pixels.iter().filter_map(|&pixel| Some(Mixed { at: within(r, pixel.x, pixel.y)?, pixel, own: owner == index })));
+            // the tiles of a row own the same rows of pixels, one beside the other, and those of the next row own the next rows
+            let owners = side(index % columns, columns).map(|column| row * columns + column);
+            let mut owners: Vec<Owner> = owners.filter_map(|owner| self.owner(owner, index, r)).collect();
+            while let Some(y) = owners.iter().filter_map(|owner| owner.pixels.first()).map(|pixel| pixel.y).min() {
+                for owner in &mut owners {
+                    let (line, rest) = owner.pixels.split_at(owner.pixels.partition_point(|pixel| pixel.y <= y));
+                    owner.pixels = rest;
+                    let own = owner.own;
+                    out.extend(line.iter().filter_map(|&pixel| Some(Mixed { at: within(r, pixel.x, pixel.y)?, pixel, own })));
+                }
             }
         }
-        out.sort_unstable_by_key(|m| m.at);
         out
     }
+
+    /// Pixels that tile `owner` owns in the rows of pixels of tile `index`.
+    fn owner(&self, owner: u32, index: u32, r: Rect) -> Option<Owner<'_>> {
+        let pixels = self.pixels.get(owner.checked_sub(self.first)? as usize)?;
+        let before = |y: u32| pixels.partition_point(|pixel| pixel.y < y);
+        Some(Owner { pixels: &pixels[before(r.y)..before(r.y + r.h)], own: owner == index })
+    }
+}
+
+/// Pixels beside borders that one tile owns, row by row.
+struct Owner<'a> {
+    pixels: &'a [BorderPixel],
+    /// True if it is the tile whose layers are matted.
+    own: bool,
 }
 
 /// Index of a pixel in a rectangle; `None` if it is outside.

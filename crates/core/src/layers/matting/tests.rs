@@ -2,7 +2,7 @@
 use proptest::prelude::*;
 
 use super::borders::{BAND, owned};
-use super::matte::{Matte, Side};
+use super::matte::{Matte, Mattes, Side};
 use crate::layers::{Tile, TileFrame};
 use crate::{Class, Geometry, Grid, Intrinsics, Photo, Plane, TexturedLayer, ViewBox, texture};
 
@@ -65,7 +65,7 @@ proptest! {
         let mix = |c: usize| f64::from(near[0].0[c]) * at + f64::from(far[0].0[c]) * (1.0 - at) + f64::from(noise[c] / 8) - 16.0;
         let colour = std::array::from_fn(|c| mix(c) as u8);
         let Between { share, mixed, .. } = between(colour, &near, &far);
-        let got = Matte::of(colour, &side(&near), &side(&far));
+        let got = Mattes::of(colour, &side(&near), &side(&far)).mixture;
         prop_assert_eq!(got.is_some(), mixed);
         let Some(got) = got else { return Ok(()) };
         prop_assert_eq!(over(got), colour);
@@ -85,8 +85,7 @@ proptest! {
     ) {
         let add = |c: usize| (i16::from(far[0].0[c]) + i16::from(off[c]) / scale).clamp(0, 255) as u8;
         let colour = std::array::from_fn(add);
-        let mixture = Matte::of(colour, &side(&near), &side(&far));
-        let got = Matte::halo(colour, mixture, &side(&near), &side(&far));
+        let Mattes { mixture, halo: got } = Mattes::of(colour, &side(&near), &side(&far));
         let Between { share, told, mixed } = between(colour, &near, &far);
         let (mean, variance, weight) = statistics(&far);
         let apart: f64 = (0..3).map(|c| (f64::from(colour[c]) - mean[c]).powi(2)).sum();
@@ -103,7 +102,7 @@ proptest! {
         let mix = |c: usize| ((f64::from(near[c]) * f64::from(share) + f64::from(far[c]) * f64::from(255 - share)) / 255.0).round() as u8;
         let colour = std::array::from_fn(mix);
         let apart = (0..3).map(|c| f64::from(near[c].abs_diff(far[c])).powi(2)).sum::<f64>().sqrt();
-        let Some(got) = Matte::of(colour, &side(&[(near, 3)]), &side(&[(far, 5)])) else {
+        let Some(got) = Mattes::of(colour, &side(&[(near, 3)]), &side(&[(far, 5)])).mixture else {
             // too near to each other, or so little of the near one that it is rounded away
             prop_assert!(apart < 24.5 || colour == far);
             return Ok(());
@@ -118,13 +117,14 @@ proptest! {
 #[test]
 fn missing_or_equal_sides_have_no_matte() {
     let (dark, light) = (side(&[([10; 3], 4)]), side(&[([200; 3], 1)]));
-    assert_eq!(Matte::of([90; 3], &Side::default(), &dark), None);
-    assert_eq!(Matte::of([90; 3], &dark, &Side::default()), None);
-    assert_eq!(Matte::of([90; 3], &dark, &dark), None);
-    assert!(Matte::of([90; 3], &dark, &light).is_some());
+    let mixture = |near: &Side, far: &Side| Mattes::of([90; 3], near, far).mixture;
+    assert_eq!(mixture(&Side::default(), &dark), None);
+    assert_eq!(mixture(&dark, &Side::default()), None);
+    assert_eq!(mixture(&dark, &dark), None);
+    assert!(mixture(&dark, &light).is_some());
     // noise as large as the distance of the two sides
     let noise = side(&[([0; 3], 1), ([255; 3], 1)]);
-    assert_eq!(Matte::of([90; 3], &noise, &light), None);
+    assert_eq!(mixture(&noise, &light), None);
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! Layers of all tiles: masks and colours, and their refinement by a network.
 
+use rayon::prelude::*;
+
 use tmpi_core::container::{EncodedPhoto, HiddenCodec, OptionalSections, PhotoFormat};
-use tmpi_core::{DisparityMap, Geometry, Photo, TexturedLayer, texture};
+use tmpi_core::{Class, DisparityMap, Geometry, Photo, TexturedLayer, Uncoloured};
 
 use super::{Placed, Prepared};
 use crate::layers::{self, refine};
@@ -36,21 +38,17 @@ pub fn make_layers(context: &mut Context, prepared: &mut Prepared, placed: Place
     let Placed { mut geometry, placement } = placed;
     // the container stores the alphas of Ψ, whereas readers derive mattes from the photo
     geometry.matted = !refined(context);
-    // encoding the photo uses one core; beside the masks, which use all cores, it adds little wall time
+    // encoding the photo uses one core; beside all that does not depend on colours and uses all cores, it adds little wall time
     let uploaded = prepared.uploaded.take();
-    let quality = context.options.quality;
-    let file = || {
-        let file = choose_file(uploaded, prepared.format, &prepared.photo, quality)?;
-        Ok::<_, MakeError>((file.decode()?, file))
-    };
-    let masks = || {
+    let file = || ChosenFile::choose(uploaded, prepared.format, &prepared.photo, context.options.quality);
+    let uncoloured = || {
         layers::add_backgrounds(&mut geometry, delta);
-        geometry.masks()
+        Uncoloured::of(&geometry)
     };
-    let (masks, file) = rayon::join(masks, file);
-    let (photo, photo_file) = file?;
+    let (uncoloured, file) = rayon::join(uncoloured, file);
+    let ChosenFile { file: photo_file, photo } = file?;
     // mattes depend on the colours, so the layers are those of readers only with the colours that readers see
-    let tiles = texture(&photo, &geometry, masks);
+    let tiles = uncoloured.texture(&photo, &geometry);
     count(&mut context.report, &geometry, &tiles, &placement);
     context.end(stage);
     Ok(Layered { geometry, tiles, photo_file, photo, optional: OptionalSections::default() })
@@ -88,7 +86,7 @@ fn count(report: &mut Report, geometry: &Geometry, tiles: &[Vec<TexturedLayer>],
     report.planes_per_tile = report.planes as f64 / report.tiles.max(1) as f64;
     let placed: usize = geometry.tiles.iter().map(|t| t.planes.len()).sum();
     let full: usize = tiles.iter().zip(0..).map(|(layers, t)| layers.len() * geometry.grid.rect(t).area()).sum();
-    let kept: usize = tiles.iter().flatten().map(|l| l.shape.class.iter().filter(|c| **c != 0).count()).sum();
+    let kept: usize = tiles.par_iter().flatten_iter().map(|l| present(&l.shape.class)).sum();
     report.texels = kept;
     report.error.unsearched_tiles = geometry.tiles_beyond_reach();
     report.left_out = LeftOut {
@@ -99,11 +97,46 @@ fn count(report: &mut Report, geometry: &Geometry, tiles: &[Vec<TexturedLayer>],
     };
 }
 
-/// The photo's file for the container: the uploaded file, if it is no larger than a new one at `quality`.
-fn choose_file(uploaded: Option<Vec<u8>>, format: PhotoFormat, photo: &Photo, quality: u8) -> Result<EncodedPhoto, MakeError> {
-    let anew = EncodedPhoto::from_photo(photo, quality)?;
-    Ok(match uploaded {
-        Some(bytes) if bytes.len() <= anew.bytes.len() => EncodedPhoto { bytes, format },
-        _ => anew,
-    })
+/// Number of texels that are not empty.
+fn present(class: &[u8]) -> usize {
+    // in bytes, which vectorise best, as long as they hold the count
+    let count = |part: &[u8]| part.iter().map(|class| u8::from(*class != Class::Empty as u8)).sum::<u8>();
+    class.chunks(usize::from(u8::MAX)).map(|part| usize::from(count(part))).sum()
+}
+
+/// The photo's file for the container, and the photo as readers of that file see it.
+struct ChosenFile {
+    file: EncodedPhoto,
+    photo: Photo,
+}
+
+impl ChosenFile {
+    /// Chooses the uploaded file, which shows `photo` exactly, if it is no larger than a new one at `quality`.
+    fn choose(uploaded: Option<Vec<u8>>, format: PhotoFormat, photo: &Photo, quality: u8) -> Result<Self, MakeError> {
+        let Some(bytes) = uploaded else { return Self::decoded(EncodedPhoto::from_photo(photo, quality)?) };
+        match EncodedPhoto::shorter_than(bytes.len(), photo, quality)? {
+            Some(anew) => Self::decoded(anew),
+            None => Ok(Self { file: EncodedPhoto { bytes, format }, photo: photo.clone() }),
+        }
+    }
+
+    fn decoded(file: EncodedPhoto) -> Result<Self, MakeError> {
+        Ok(Self { photo: file.decode()?, file })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_photo_is_what_readers_of_the_chosen_file_see() {
+        let original = Photo::from_fn(70, 50, |x, y| [(x * 37 + y * 101) as u8, (x * y) as u8, (x * 5) as u8]);
+        let uploaded = EncodedPhoto::from_photo(&original, 60).unwrap();
+        let photo = uploaded.decode().unwrap();
+        for (bytes, quality, keeps) in [(Some(&uploaded.bytes), 95, true), (Some(&uploaded.bytes), 20, false), (None, 95, false)] {
+            let ChosenFile { file, photo: seen } = ChosenFile::choose(bytes.cloned(), PhotoFormat::Jpeg, &photo, quality).unwrap();
+            assert_eq!((file.bytes == uploaded.bytes, &seen), (keeps, &file.decode().unwrap()), "quality {quality}");
+        }
+    }
 }
