@@ -6,7 +6,6 @@ use tmpi_core::live::{VERSION, write};
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::live::{Client, Publisher, SIZE, frame, frame_of, hello, server};
-use crate::prelude::*;
 
 #[test]
 fn hostile_publishers_are_disconnected_with_a_reason_and_the_room_goes_on() {

@@ -27,7 +27,7 @@ pub struct Point {
 
 /// All sequences at all operating points.
 #[derive(Clone, Debug, Serialize)]
-pub struct Points {
+pub struct Sweep {
     pub machine: Machine,
     pub frames: u32,
     /// How far to the right of the camera the side view is, in units of the nearest distance: the border of a room's view box.
@@ -40,7 +40,7 @@ pub struct Points {
 }
 
 /// Measures all sequences at each point, and calls `progress` for each.
-pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&str)) -> Result<Points, LabError> {
+pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&str)) -> Result<Sweep, LabError> {
     let start = std::time::Instant::now();
     let (mut points, mut skipped) = (Vec::new(), Vec::new());
     for &at in at {
@@ -49,7 +49,7 @@ pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&st
         points.extend(rows.into_iter().map(|row| Point { at, row }));
         skipped = without;
     }
-    Ok(Points {
+    Ok(Sweep {
         machine: Machine::this(),
         frames: settings.flags.frames,
         side_view: VIEW_BOX.x,
@@ -81,7 +81,7 @@ const FIGURES: [(&str, &str, usize); 11] = [
     ("depth px", "depth network, pixels", 0),
 ];
 
-impl Points {
+impl Sweep {
     /// The results as a text table: all figures with a column for each sequence, or some with a line for each if there are several points.
     pub fn table(&self) -> String {
         if self.points.iter().all(|p| p.at == self.points[0].at) { self.all_figures() } else { self.lines() }
@@ -179,7 +179,7 @@ mod tests {
         flags: Flags,
     }
 
-    fn points() -> Points {
+    fn points() -> Sweep {
         let point = |width, budget_ms, psnr| Point {
             at: OperatingPoint { size: (width, 240), bitrate: 384_000, budget_ms },
             row: Row {
@@ -188,7 +188,7 @@ mod tests {
             },
         };
         let points = vec![point(320, 0.0, 24.5), point(320, 10.0, 23.0), point(640, 0.0, 26.0)];
-        Points { machine: Machine::this(), frames: 9, side_view: VIEW_BOX.x, points, skipped: vec!["cut: a < b".into()], seconds: 1.0 }
+        Sweep { machine: Machine::this(), frames: 9, side_view: VIEW_BOX.x, points, skipped: vec!["cut: a < b".into()], seconds: 1.0 }
     }
 
     #[test]
@@ -198,7 +198,7 @@ mod tests {
         let lines: Vec<&str> = table.lines().skip(1).collect();
         assert_eq!(lines.len(), 4);
         assert!(lines[1].contains("none") && lines[2].contains(" 10 ") && lines[3].contains("640x240"));
-        let one = Points { points: vec![points().points.remove(1)], ..points() }.table();
+        let one = Sweep { points: vec![points().points.remove(1)], ..points() }.table();
         assert!(
             one.contains("--budget-ms 10, 9 frames; side view 0.12 to the right")
                 && one.contains("side view, dB")
