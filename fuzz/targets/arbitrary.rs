@@ -106,6 +106,6 @@ pub fn geometry(script: &mut Script, most_planes: u32) -> Geometry {
         intrinsics: Intrinsics::centred(width, height, 0.75 * f64::from(width)),
         view_box: ViewBox::cube(0.03),
         tiles,
-        matted: false,
+        matte_band: 0,
     }
 }

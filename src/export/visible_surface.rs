@@ -34,7 +34,7 @@ pub(super) fn inpainted(photo: &Photo, delta: &[f32], limit: f32, hidden: impl F
     let planes = (0..=STEPS as u8).map(|i| Plane::fronto_parallel(f64::from(f32::from(i) / STEPS * most))).collect();
     // colours do not depend on the camera
     let (intrinsics, view_box) = (Intrinsics::from_fov_x(photo.width, photo.height, 60.0), ViewBox::cube(0.0));
-    let geometry = Geometry { grid, intrinsics, view_box, tiles: vec![Tile { planes, labels, background: None }], matted: false };
+    let geometry = Geometry { grid, intrinsics, view_box, tiles: vec![Tile { planes, labels, background: None }], matte_band: 0 };
     let class: Vec<u8> = (0..delta.len()).map(|i| if hidden(i) { Class::Hidden } else { Class::Photo } as u8).collect();
     let plane = Plane::fronto_parallel(f64::from(limit));
     let colours = Inpainter::new(photo, &geometry).fill(0, &plane, grid.rect(0), &class, &mut Pyramid::default());

@@ -108,7 +108,7 @@ pub mod tests {
         let plane = Plane { a: depth, b: 0.0, c: 0.0 };
         let pixels = |index| grid.rect(index).area();
         let tiles = (0..grid.tiles()).map(|i| Tile { planes: vec![plane], labels: vec![0; pixels(i)], background: None }).collect();
-        Geometry { grid, intrinsics, view_box, tiles, matted: false }
+        Geometry { grid, intrinsics, view_box, tiles, matte_band: 0 }
     }
 
     pub fn message(geometry: &Geometry, area: Area, version: u64) -> schema::Geometry {

@@ -12,8 +12,8 @@ pub mod scene;
 pub mod simd;
 
 pub use layers::{
-    Geometry, Inpainter, LayerMask, LayerMasks, Pyramid, SeenBackground, TexturedLayer, Tile, TileFrame, Uncoloured, compose, grown,
-    texture,
+    Geometry, Inpainter, LayerMask, LayerMasks, MATTE_BAND, Pyramid, SeenBackground, TexturedLayer, Tile, TileFrame, Uncoloured, compose,
+    grown, texture,
 };
 pub use scene::{
     Border, BorderColours, Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, Photo, Plane, Pose, Rect, Scene, SceneError, Texels,

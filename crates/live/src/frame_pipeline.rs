@@ -87,7 +87,7 @@ impl Settings {
             None => Intrinsics::centred(width, height, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(width)),
         };
         let tiles = vec![Tile::default(); grid.tiles() as usize];
-        core::Geometry { grid, intrinsics, view_box: self.options.view_box, tiles, matted: false }
+        core::Geometry { grid, intrinsics, view_box: self.options.view_box, tiles, matte_band: 0 }
     }
 }
 

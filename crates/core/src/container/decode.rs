@@ -9,7 +9,7 @@ use super::schema::{Codec, Index, Kind, Section};
 use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bounds, columns, hidden, label_bands, labels, planes, select_sections};
 use crate::layers::{Surface, join, texture_tiles};
 use crate::parallel;
-use crate::{Class, Geometry, Grid, Intrinsics, Layer, LayerMasks, Photo, Scene, TexturedLayer, ViewBox};
+use crate::{Class, Geometry, Grid, Intrinsics, Layer, LayerMasks, MATTE_BAND, Photo, Scene, TexturedLayer, ViewBox};
 
 /// All rows of tiles.
 const ALL_ROWS: Range<u32> = 0..u32::MAX;
@@ -286,7 +286,7 @@ pub(super) fn layer_geometry(
             t.labels = own.to_vec();
         }
     }
-    Ok(Geometry { grid, intrinsics, view_box, tiles, matted: index.matted })
+    Ok(Geometry { grid, intrinsics, view_box, tiles, matte_band: if index.matted { MATTE_BAND } else { 0 } })
 }
 
 /// Applies the section of refined alphas to the soft texels, if there is one.

@@ -8,7 +8,7 @@ use super::select_sections::header;
 use super::{
     ContainerError, EncodedPhoto, MAJOR, MINOR, bounds, columns, encode_jpeg, encode_lossless, hidden, label_bands, labels, planes,
 };
-use crate::{Geometry, Grid, Scene};
+use crate::{Geometry, Grid, MATTE_BAND, Scene};
 
 /// zstd level; sections are small, so the highest ordinary level costs little time.
 const LEVEL: i32 = 19;
@@ -78,7 +78,10 @@ pub fn encode_in(
     optional: OptionalSections,
 ) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
     bounds::geometry(geometry)?;
-    if geometry.matted && optional != OptionalSections::default() {
+    if ![0, MATTE_BAND].contains(&geometry.matte_band) {
+        return Err(ContainerError::Encode(format!("a container cannot have mattes {} pixels wide", geometry.matte_band)));
+    }
+    if geometry.matte_band > 0 && optional != OptionalSections::default() {
         return Err(ContainerError::Encode("a matted container must not carry alphas or hidden colours".into()));
     }
     let mut file = File::default();
@@ -129,7 +132,7 @@ pub fn encode_in(
         planes: layout.planes as u32,
         hidden_blocks: blocks as u32,
         hidden_columns: per_row as u32,
-        matted: geometry.matted,
+        matted: geometry.matte_band > 0,
         sections: file.sections.clone(),
     };
     Ok(file.finish(&index))

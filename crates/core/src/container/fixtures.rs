@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc, reason = "for tests alone")]
 
 use super::{EncodedPhoto, OptionalSections, PhotoFormat, encode_in, encode_lossless};
-use crate::{Geometry, Grid, Intrinsics, Photo, Plane, Scene, TexturedLayer, Tile, ViewBox, compose};
+use crate::{Geometry, Grid, Intrinsics, MATTE_BAND, Photo, Plane, Scene, TexturedLayer, Tile, ViewBox, compose};
 
 /// Near discs in front of a slanted wall; some tiles have background planes, some alphas are refined, and hidden colours survive JPEG well.
 pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
@@ -21,7 +21,7 @@ pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
         })
         .collect();
     let geometry =
-        Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::cube(0.03), tiles, matted: false };
+        Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::cube(0.03), tiles, matte_band: 0 };
     let coloured = geometry
         .masks()
         .into_iter()
@@ -40,7 +40,7 @@ pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
 
 /// The same scene matted, with a photo in which the discs are red with soft outlines. Use only its planes, labels and photo.
 pub fn matted((mut geometry, mut scene): (Geometry, Scene)) -> (Geometry, Scene) {
-    geometry.matted = true;
+    geometry.matte_band = MATTE_BAND;
     let width = scene.photo.width;
     for (i, colour) in (0..).zip(&mut scene.photo.rgb) {
         let off = |at: u32, period: u32, middle: u32| f64::from(at % period) - f64::from(middle);

@@ -82,13 +82,13 @@ pub fn region(container: &[u8], tiles: &TileRect, level: u8, as_: RegionPhoto) -
 
 /// The rectangle of the tiles in pixels, and the geometry of these tiles.
 fn cut(geometry: Geometry, tiles: &TileRect) -> (Rect, Geometry) {
-    let Geometry { grid, intrinsics: k, view_box, tiles: all, matted } = geometry;
+    let Geometry { grid, intrinsics: k, view_box, tiles: all, matte_band } = geometry;
     let (rect, part) = grid.part(tiles.columns.clone(), tiles.rows.clone());
     let columns = grid.columns();
     let kept = |i: u32| tiles.columns.contains(&(i % columns)) && tiles.rows.contains(&(i / columns));
     let tiles = (0..).zip(all).filter(|(i, _)| kept(*i)).map(|(_, t)| t).collect();
     let intrinsics = Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..k };
-    (rect, Geometry { grid: part, intrinsics, view_box, tiles, matted })
+    (rect, Geometry { grid: part, intrinsics, view_box, tiles, matte_band })
 }
 
 fn crop(photo: &Photo, r: Rect) -> Photo {

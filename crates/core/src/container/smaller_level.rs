@@ -57,7 +57,7 @@ fn halved(b: &Geometry) -> Option<Geometry> {
     let grid = Grid { width: g.width.div_ceil(2), height: g.height.div_ceil(2), size: g.size / 2, stride: g.stride / 2 };
     let intrinsics = Intrinsics { fx: k.fx / 2.0, fy: k.fy / 2.0, cx: k.cx / 2.0, cy: k.cy / 2.0 };
     let tiles = b.tiles.iter().enumerate().map(|(i, t)| halved_tile(t, &g, &grid, i as u32)).collect();
-    Some(Geometry { grid, intrinsics, view_box: b.view_box, tiles, matted: b.matted })
+    Some(Geometry { grid, intrinsics, view_box: b.view_box, tiles, matte_band: b.matte_band })
 }
 
 /// Chooses each label by majority of the four pixels that it replaces; ties go to the nearer plane, so that thin objects survive.
@@ -115,7 +115,7 @@ mod tests {
         let grid = Grid { width: 8, height: 8, size: 8, stride: 8 };
         let intrinsics = Intrinsics { fx: 7.0, fy: 9.0, cx: 3.0, cy: 5.0 };
         let tile = Tile { planes: planes.clone(), labels: labels.collect(), background: Some(planes[0]) };
-        let whole = Geometry { grid, intrinsics, view_box: ViewBox { x: 0.1, y: 0.2, z: 0.3 }, tiles: vec![tile], matted: false };
+        let whole = Geometry { grid, intrinsics, view_box: ViewBox { x: 0.1, y: 0.2, z: 0.3 }, tiles: vec![tile], matte_band: 0 };
         let half = halved(&whole).unwrap();
         assert_eq!(half.grid, Grid { width: 4, height: 4, size: 4, stride: 4 });
         assert_eq!(half.intrinsics, Intrinsics { fx: 3.5, fy: 4.5, cx: 1.5, cy: 2.5 });

@@ -2,7 +2,7 @@
 
 use super::fixtures::{bare_in, discs as scene, matted, rough};
 use super::*;
-use crate::{Geometry, Grid, Inpainter, Photo, Scene};
+use crate::{Geometry, Grid, Inpainter, MATTE_BAND, Photo, Scene};
 
 fn container((geometry, s): &(Geometry, Scene)) -> Vec<u8> {
     let photo = EncodedPhoto::from_photo(&s.photo, 90).unwrap();
@@ -278,7 +278,7 @@ fn matting_is_a_flag_and_needs_no_section() {
     let read = decode::read(&bytes).unwrap();
     assert_eq!((&read.0, &read.1), (&made.1.photo, &made.0));
     assert_eq!(sections(&bytes).unwrap().iter().map(|s| s.kind).collect::<Vec<_>>(), ["photo", "planes", "labels"]);
-    let [got, unmatted] = [&made.0, &Geometry { matted: false, ..made.0.clone() }].map(|g| crate::texture(&made.1.photo, g, g.masks()));
+    let [got, unmatted] = [&made.0, &Geometry { matte_band: 0, ..made.0.clone() }].map(|g| crate::texture(&made.1.photo, g, g.masks()));
     let same = |a: &[Vec<crate::TexturedLayer>], s: &Scene| {
         let all = || a.iter().flatten();
         let alpha: Vec<u8> = all().flat_map(|l| l.shape.alpha.clone()).collect();
@@ -289,8 +289,8 @@ fn matting_is_a_flag_and_needs_no_section() {
     assert!(same(&got, &scene) && !same(&unmatted, &scene));
     // its levels and regions are matted, too
     let parts = [level(&bytes, 1).unwrap(), region(&bytes, &TileRect { columns: 1..3, rows: 0..1 }, 0, RegionPhoto::Lossless).unwrap()];
-    assert!(parts.iter().all(|part| decode::read_geometry(part).unwrap().matted));
-    assert!(!decode::read_geometry(&bare(&plain)).unwrap().matted);
+    assert!(parts.iter().all(|part| decode::read_geometry(part).unwrap().matte_band == MATTE_BAND));
+    assert_eq!(decode::read_geometry(&bare(&plain)).unwrap().matte_band, 0);
 }
 
 #[test]

@@ -72,8 +72,9 @@ pub struct Geometry {
     pub view_box: ViewBox,
     /// One entry for each tile of the grid.
     pub tiles: Vec<Tile>,
-    /// True if pixels beside depth borders are decomposed into foreground and background.
-    pub matted: bool,
+    /// Width, in pixels, of the band on the far side of depth borders whose colours are decomposed into foreground and background; 0 for
+    /// none. Containers have [`super::MATTE_BAND`] or 0.
+    pub matte_band: usize,
 }
 
 /// Classes and alphas of one layer.
@@ -379,7 +380,7 @@ mod tests {
                 intrinsics: Intrinsics::centred(64, 64, 100.0),
                 view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
                 tiles: vec![Tile { planes, labels, background: None }],
-                matted: false,
+                matte_band: 0,
             };
             let shapes = b.masks().remove(0);
             let row = |s: &LayerMask| {

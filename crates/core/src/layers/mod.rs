@@ -20,6 +20,7 @@ pub(crate) use dilation::{Dilation, dilate};
 pub(crate) use inpaint::CONTEXT;
 pub use inpaint::{Inpainter, Pyramid};
 pub use masks::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown};
+pub use matting::MATTE_BAND;
 pub(crate) use matting::{Rows, matte};
 pub use reach::work_of;
 pub(crate) use reach::{farthest, pixel_rows};

@@ -101,7 +101,7 @@ mod tests {
             intrinsics: Intrinsics::centred(64, 64, 100.0),
             view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
             tiles: vec![tile],
-            matted: false,
+            matte_band: 0,
         };
         let shapes = &b.masks()[0];
         let far = &shapes.layers[0];

@@ -244,7 +244,7 @@ mod tests {
         let tiles = vec![Tile { planes, labels: (0..SIDE * SIDE).map(|i| inside(i).into()).collect(), background: None }];
         let (grid, intrinsics) = (Grid::new(SIDE, SIDE, 64), Intrinsics::centred(SIDE, SIDE, 50.0));
         let view_box = ViewBox { x: 0.2, y: 0.2, z: 0.0 };
-        (Photo { width: SIDE, height: SIDE, rgb }, Geometry { grid, intrinsics, view_box, tiles, matted: false })
+        (Photo { width: SIDE, height: SIDE, rgb }, Geometry { grid, intrinsics, view_box, tiles, matte_band: 0 })
     }
 
     fn stripes(i: u32) -> [u8; 3] {

@@ -35,7 +35,7 @@ impl Uncoloured {
     }
 }
 
-/// Colours the hidden texels of all layers from the photo's pixels at or behind each layer. Mattes depth borders if `geometry.matted`.
+/// Colours the hidden texels of all layers from the photo's pixels at or behind each layer. Mattes depth borders within `geometry.matte_band`.
 pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
     texture_tiles(geometry, geometry.surface(), &photo.rgb, 0, shapes)
 }
@@ -58,7 +58,7 @@ fn texture_from(geometry: &Geometry, sources: Surface, rgb: &[[u8; 3]], first: u
     let colours = Inpainter::with_sources(geometry.grid, sources, rgb).fill_tiles(first, &shapes);
     let tile = |(s, c): (LayerMasks, Vec<_>)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect();
     let mut tiles: Vec<Vec<TexturedLayer>> = shapes.into_iter().zip(colours).map(tile).collect();
-    if geometry.matted {
+    if geometry.matte_band > 0 {
         matte(geometry, first, &mut tiles, photo);
     }
     tiles

@@ -19,7 +19,7 @@ pub fn message(data: &[u8]) {
                 intrinsics: Intrinsics::centred(130, 100, 75.0),
                 view_box: ViewBox::cube(0.03),
                 tiles: Vec::new(),
-                matted: false,
+                matte_band: 0,
             };
             let Ok(mut model) = TileState::new(&TileState::hello(&empty)) else { return };
             if model.take(&g).is_err() {

@@ -263,7 +263,7 @@ mod tests {
             Tile { planes: planes.clone(), labels, background: None }
         };
         let tiles = (0..grid.tiles()).map(of).collect();
-        (Geometry { grid, intrinsics: Intrinsics::centred(W, H, 50.0), view_box: ViewBox::cube(0.03), tiles, matted: false }, colours)
+        (Geometry { grid, intrinsics: Intrinsics::centred(W, H, 50.0), view_box: ViewBox::cube(0.03), tiles, matte_band: 0 }, colours)
     }
 
     #[test]

@@ -23,7 +23,7 @@ fn geometry(width: u32, height: u32, size: u32, seed: u32) -> Geometry {
         }
     };
     let tiles = (0..grid.tiles()).map(tile).collect();
-    Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::cube(0.03), tiles, matted: false }
+    Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::cube(0.03), tiles, matte_band: 0 }
 }
 
 /// A frame `elapsed` after the previous one, with its own tiles.

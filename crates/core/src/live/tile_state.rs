@@ -34,7 +34,7 @@ impl TileState {
             return Err(LiveError::broken(format!("tiles of {} pixels, below {MIN_TILE}", grid.size)));
         }
         let tiles = vec![Tile::default(); grid.tiles() as usize];
-        Ok(Self { versions: vec![None; tiles.len()], geometry: Geometry { grid, intrinsics, view_box, tiles, matted: false } })
+        Ok(Self { versions: vec![None; tiles.len()], geometry: Geometry { grid, intrinsics, view_box, tiles, matte_band: 0 } })
     }
 
     /// The HELLO message of a room whose tiles are those of `geometry`.

@@ -89,7 +89,7 @@ impl<'a> Prepared<'a> {
             _ => &self.snapped,
         };
         let tiles = place(map, None, &grid, &placement);
-        let mut geometry = Geometry { grid, intrinsics: self.intrinsics, view_box: self.view_box, tiles, matted: false };
+        let mut geometry = Geometry { grid, intrinsics: self.intrinsics, view_box: self.view_box, tiles, matte_band: 0 };
         if without != Without::Backgrounds {
             layers::add_backgrounds(&mut geometry, map);
         }

@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use super::{note, result};
 use crate::files;
-use crate::ghosts::{self, Ghosts, Pair};
+use crate::ghosts::{self, BANDS, OfBand};
 use crate::table::table;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
-/// Measure the outlines of things that stay on the background when the view moves, without matting and with it
+/// Measure the outlines of things that stay on the background when the view moves, by the width of the band of mattes
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct GhostArgs {
     /// Photos; none: those of `crates/lab/lists/ghosts.txt` below the folder that `TMPI_DATA` names
@@ -27,27 +27,29 @@ pub(super) fn run(args: &GhostArgs) -> anyhow::Result<()> {
     let data = std::env::var_os("TMPI_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     let listed = || ghosts::listed(include_str!("../../lists/ghosts.txt")).map(|name| data.join(name)).collect();
     let photos: Vec<PathBuf> = if args.photos.is_empty() { listed() } else { args.photos.clone() };
-    let (mut rows, mut all) = (Vec::new(), Pair::default());
+    let (mut rows, mut all) = (Vec::new(), [OfBand::default(); BANDS.len()]);
     for photo in photos {
         let name = photo.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         note(&format!("tmpi-lab ghosts: {name}"));
-        let pair = ghosts::of_photo(&models, &name, &files::read(&photo)?)?;
-        all.unmatted.add(pair.unmatted);
-        all.made.add(pair.made);
-        rows.push((name, pair));
+        let found = ghosts::of_photo(&models, &name, &files::read(&photo)?)?;
+        for (all, one) in all.iter_mut().zip(found) {
+            all.ghosts.add(one.ghosts);
+            all.ms += one.ms;
+        }
+        rows.push((name, found));
     }
-    rows.push(("all".into(), all));
     if args.json {
+        rows.push(("all".into(), all));
         return result(&serde_json::to_string_pretty(&rows)?);
     }
-    let heads = ["seen, %", "outlines of any colour, %", "residue, levels"];
-    let [without, with] = ["without matting: ", "with: "].map(|how| heads.map(|head| format!("{how}{head}")).to_vec());
-    let head = [vec![String::new(), "places".into()], without, with].concat();
-    let lines = rows.into_iter().map(|(name, Pair { unmatted, made })| {
-        let [without, with] = [unmatted, made].map(|g: Ghosts| {
-            [format!("{:.1}", 100.0 * g.share()), format!("{:.1}", 100.0 * g.outline_share()), format!("{:.2}", g.mean())].to_vec()
-        });
-        [vec![name, unmatted.places.to_string()], without, with].concat()
+    let outlines = |of: OfBand| format!("{:.1}", 100.0 * of.ghosts.outline_share());
+    let head: Vec<String> = ["".into(), "places".into()].into_iter().chain(BANDS.map(|band| format!("outlines at {band} px, %"))).collect();
+    let lines = rows.iter().map(|(name, of)| [vec![name.clone(), of[0].ghosts.places.to_string()], of.map(outlines).to_vec()].concat());
+    let photos = table(1, &head, lines);
+    let bands = BANDS.into_iter().zip(all).map(|(band, of)| {
+        let figures = [100.0 * of.ghosts.share(), 100.0 * of.ghosts.outline_share(), of.ghosts.mean(), of.ms / rows.len().max(1) as f64];
+        [vec![band.to_string()], figures.map(|figure| format!("{figure:.1}")).to_vec()].concat()
     });
-    result(table(1, &head, lines).trim_end())
+    let head = ["band, px", "seen, %", "outlines of any colour, %", "residue, levels", "layers, ms"];
+    result(format!("{photos}\n{}", table(0, &head, bands)).trim_end())
 }

@@ -22,7 +22,7 @@ pub(super) fn layers(scene: &Scene, picture: &Picture, degraded: bool) -> Vec<u8
     let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
     let most = Parallax::new(camera.intrinsics, Options::VIEW_BOX).most(Rect { x: 0, y: 0, w, h });
     let tiles = place(&map, None, &grid, &Options::default().placement(Options::MAX_ERROR, most));
-    let mut geometry = Geometry { grid, intrinsics: camera.intrinsics, view_box, tiles, matted: false };
+    let mut geometry = Geometry { grid, intrinsics: camera.intrinsics, view_box, tiles, matte_band: 0 };
     layers::add_backgrounds(&mut geometry, &map);
     let shapes = geometry.masks();
     let coloured = tmpi_core::texture(photo, &geometry, shapes);

@@ -1,7 +1,7 @@
 //! Pixels beside depth borders, taken apart: against shares and colours that are known, since the photos are mixed of them.
 
 use tmpi_core::container::{PhotoFormat, decode_picture, encode_jpeg};
-use tmpi_core::{Class, Geometry, Photo, Plane, TexturedLayer, compose, texture};
+use tmpi_core::{Class, Geometry, MATTE_BAND, Photo, Plane, TexturedLayer, compose, texture};
 use tmpi_render::draw_reference_view;
 use tmpi_testing::pictures::noise;
 
@@ -102,7 +102,7 @@ impl Subject {
     fn geometry(&self) -> Geometry {
         let near = |x, y| u8::from((self.near)(x, y));
         let planes = [0.25, 0.75].map(Plane::fronto_parallel);
-        Geometry { matted: true, ..geometry((WIDTH, HEIGHT), 64, &planes, near) }
+        Geometry { matte_band: MATTE_BAND, ..geometry((WIDTH, HEIGHT), 64, &planes, near) }
     }
 
     /// The greatest difference of the wall's colours from [`LIGHT`], in levels, where no thing lies on it.
@@ -169,7 +169,7 @@ pub(super) fn cases(checked: &mut Checked, kernel: impl Fn(&Photo, &Geometry) ->
     let alike = &subjects()[0];
     checked.case("matting", "nothing changes, foreground and background alike", "mattes", "texels", 0.0, || {
         let (photo, geometry) = (alike.photo(), alike.geometry());
-        let plain = Geometry { matted: false, ..geometry.clone() };
+        let plain = Geometry { matte_band: 0, ..geometry.clone() };
         let all = |tiles: Vec<Vec<TexturedLayer>>| tiles.into_iter().flatten().flat_map(|l| l.shape.alpha).collect::<Vec<u8>>();
         let (with, without) = (all(kernel(&photo, &geometry)), all(texture(&photo, &plain, plain.masks())));
         (with.len().abs_diff(without.len()) + with.iter().zip(&without).filter(|(a, b)| a != b).count()) as f64

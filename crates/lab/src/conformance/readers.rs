@@ -24,7 +24,7 @@ pub(super) fn geometry((w, h): (u32, u32), size: u32, planes: &[Plane], label: i
         intrinsics: Intrinsics::centred(w, h, 100.0),
         view_box: ViewBox { x: 0.1, y: 0.06, z: 0.0 },
         tiles: (0..grid.tiles()).map(tile).collect(),
-        matted: false,
+        matte_band: 0,
     }
 }
 

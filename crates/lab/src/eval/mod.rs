@@ -40,8 +40,8 @@ pub enum Depth {
     True,
 }
 
-/// The way that leaves all mixed colours on the far side of depth borders.
-const UNMATTED: &str = "ours-unmatted";
+/// Ways with another width of the band of mattes, in pixels; they run only if they are named.
+const BANDS: [(&str, usize); 4] = [("ours-matte-0", 0), ("ours-matte-1", 1), ("ours-matte-3", 3), ("ours-matte-4", 4)];
 
 /// Ways by name; `None` draws the photo as a mesh.
 fn ways() -> Vec<(&'static str, Option<Options>)> {
@@ -50,7 +50,7 @@ fn ways() -> Vec<(&'static str, Option<Options>)> {
         change(&mut options);
         Some(options)
     };
-    vec![
+    let mut ways = vec![
         ("mesh", None),
         ("mpi-32", with(|o| (o.tile, o.planes, o.plane_method) = (TileSize::Full, PlaneCount::Fixed(32), PlaneMethod::Linear))),
         ("mpi-64", with(|o| (o.tile, o.planes, o.plane_method) = (TileSize::Full, PlaneCount::Fixed(64), PlaneMethod::Linear))),
@@ -58,9 +58,10 @@ fn ways() -> Vec<(&'static str, Option<Options>)> {
         ("tmpi-lloyd", with(|o| (o.planes, o.plane_method) = (PlaneCount::Fixed(4), PlaneMethod::Lloyd))),
         ("ours-plain", with(|o| (o.denoise, o.refine, o.snap) = (Denoise::Off, Switch::Off, Switch::Off))),
         ("ours-refined", with(|o| o.refine = Switch::On)),
-        (UNMATTED, with(|_| {})),
         ("ours", with(|_| {})),
-    ]
+    ];
+    ways.extend(BANDS.map(|(name, _)| (name, with(|_| {}))));
+    ways
 }
 
 #[derive(Clone, Debug, Default, Serialize)]
@@ -137,7 +138,10 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
     let lpips = lpips.as_deref().map(lpips_network).transpose()?;
     // without names, measures every way whose networks are available; a named way fails without its networks
     let possible = |options: &Option<Options>| options.as_ref().is_none_or(|o| models.check(o).is_ok());
-    let wanted = |name: &str, options: &Option<Options>| if only.is_empty() { possible(options) } else { only.iter().any(|o| o == name) };
+    let is_band = |name: &str| BANDS.iter().any(|band| band.0 == name);
+    let wanted = |name: &str, options: &Option<Options>| {
+        if only.is_empty() { possible(options) && !is_band(name) } else { only.iter().any(|o| o == name) }
+    };
     let chosen: Vec<_> = ways().into_iter().filter(|(name, options)| wanted(name, options)).collect();
     let mut rows: Vec<Row> = chosen.iter().map(|(way, _)| Row { way, ..Row::default() }).collect();
     let mut scores: Vec<Vec<Score>> = vec![Vec::new(); rows.len()];
@@ -235,8 +239,10 @@ fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Option
         row.planes = 0.0;
         return Ok(Made { model: Model::Mesh(Box::new((photo(case)?, done.disparity.clone()))), row, disparity: done.disparity });
     }
-    let scene = if way == UNMATTED { crate::ghosts::unmatted(&done.container) } else { tmpi_core::container::decode(&done.container) };
-    let scene = Arc::new(scene?);
+    let scene = Arc::new(match BANDS.iter().find(|band| band.0 == way) {
+        Some((_, band)) => crate::ghosts::with_band(&done.container, *band)?.0,
+        None => tmpi_core::container::decode(&done.container)?,
+    });
     row.make_ms = done.report.total_ms;
     row.bytes = done.container.len() as f64;
     row.texels_m = scene.texels.class.len() as f64 / 1e6;

@@ -49,7 +49,7 @@ mod tests {
             let tiles = vec![tile(deltas[0], 0), tile(deltas[1], 1)];
             // a box of its own, in which one unit of disparity moves by 3 pixels
             let view_box = ViewBox { x: 0.03, y: 0.03, z: 0.0 };
-            seams(&Geometry { grid, intrinsics: Intrinsics::centred(120, 64, 100.0), view_box, tiles, matted: false })
+            seams(&Geometry { grid, intrinsics: Intrinsics::centred(120, 64, 100.0), view_box, tiles, matte_band: 0 })
         };
         assert_eq!(of([0.5, 0.5]), (0.0, 0.0));
         let (mean, wide) = of([0.2, 0.7]);

@@ -43,7 +43,7 @@ fn reference(g: &Geometry, index: u32, old: &Tile, new: &Tile) -> f64 {
 fn scene(view_box: ViewBox) -> Geometry {
     let grid = Grid::new(90, 70, 32);
     let tiles = vec![Tile::default(); grid.tiles() as usize];
-    Geometry { grid, intrinsics: Intrinsics::from_fov_x(90, 70, 60.0), view_box, tiles, matted: false }
+    Geometry { grid, intrinsics: Intrinsics::from_fov_x(90, 70, 60.0), view_box, tiles, matte_band: 0 }
 }
 
 /// A tile with planes from far to near, a background if `behind`, and labels in stripes that begin at `edge`.

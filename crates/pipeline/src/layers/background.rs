@@ -145,7 +145,7 @@ mod tests {
             Tile { planes: all.into_iter().map(|d| Plane::fronto_parallel(d.into())).collect(), labels, background: None }
         };
         let tiles = (0..grid.tiles()).map(tile).collect();
-        (Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::cube(0.03), tiles, matted: false }, map)
+        (Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::cube(0.03), tiles, matte_band: 0 }, map)
     }
 
     /// The background of a tile by definition, in `f64`: the least-squares plane, with a ridge on its slopes, through the pixels around

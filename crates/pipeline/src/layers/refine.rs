@@ -192,7 +192,7 @@ mod tests {
             intrinsics: Intrinsics::centred(width, height, 60.0),
             view_box: ViewBox { x: 0.1, y: 0.1, z: 0.0 },
             tiles: (0..grid.tiles()).map(tile).collect(),
-            matted: false,
+            matte_band: 0,
         };
         let tiles = texture(&photo, &geometry, geometry.masks());
         (photo, geometry, tiles)

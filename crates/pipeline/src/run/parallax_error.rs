@@ -225,7 +225,7 @@ mod tests {
         };
         let tiles: Vec<Tile> = (0..).zip(&before).map(tile).collect();
         let k = Intrinsics::centred(200, 150, 116.0);
-        let geometry = Geometry { grid, intrinsics: k, view_box: BOX, tiles, matted: false };
+        let geometry = Geometry { grid, intrinsics: k, view_box: BOX, tiles, matte_band: 0 };
         // by homographies of all pixels, in the cameras at the corners of the box
         let mut most = 0.0f64;
         for (t, (tile, before)) in (0..).zip(geometry.tiles.iter().zip(&before)) {

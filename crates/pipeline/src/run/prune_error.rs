@@ -150,7 +150,7 @@ impl Part {
         let tiles = rows.clone().flat_map(index).map(|i| tiles[i as usize].clone()).collect();
         let intrinsics = Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..*k };
         Self {
-            geometry: Geometry { grid: own, intrinsics, view_box: *view_box, tiles, matted: false },
+            geometry: Geometry { grid: own, intrinsics, view_box: *view_box, tiles, matte_band: 0 },
             tile: (row - rows.start) * own.columns() + column - columns.start,
         }
     }
@@ -250,7 +250,7 @@ mod tests {
             intrinsics: Intrinsics::centred(64, 64, 100.0),
             view_box: ViewBox { x: 0.01, y: 0.01, z: 0.0 },
             tiles: vec![tile],
-            matted: false,
+            matte_band: 0,
         };
         (photo, geometry)
     }
@@ -267,7 +267,7 @@ mod tests {
         };
         let intrinsics = Intrinsics::centred(width, 600, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(width));
         let tiles = (0..grid.tiles()).map(tile).collect();
-        Geometry { grid, intrinsics, view_box: Options::VIEW_BOX, tiles, matted: false }
+        Geometry { grid, intrinsics, view_box: Options::VIEW_BOX, tiles, matte_band: 0 }
     }
 
     /// Prunes for a view box of this share of the photo's own.

@@ -103,7 +103,7 @@ fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
         let tiles = (0..grid.tiles()).map(tile).collect();
         let intrinsics = Intrinsics::centred(width, height, f64::from(width));
         let rgb = (0..width * height).map(|i| [1, 2, 3].map(|k| noise(i, k) as u8)).collect();
-        (Photo { width, height, rgb }, Geometry { grid, intrinsics, view_box: ViewBox { x: 0.2, y: 0.2, z: 0.1 }, tiles, matted: false })
+        (Photo { width, height, rgb }, Geometry { grid, intrinsics, view_box: ViewBox { x: 0.2, y: 0.2, z: 0.1 }, tiles, matte_band: 0 })
     })
 }
 
@@ -167,7 +167,7 @@ fn bounds(places: &[(u32, u32)]) -> Option<Rect> {
 
 fn geometry(grid: Grid, planes: Vec<Plane>, labels: Vec<u8>) -> Geometry {
     let tiles = vec![Tile { planes, labels, background: None }];
-    Geometry { grid, intrinsics: Intrinsics::centred(grid.width, grid.height, 50.0), view_box: ViewBox::cube(0.03), tiles, matted: false }
+    Geometry { grid, intrinsics: Intrinsics::centred(grid.width, grid.height, 50.0), view_box: ViewBox::cube(0.03), tiles, matte_band: 0 }
 }
 
 #[test]

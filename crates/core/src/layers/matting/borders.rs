@@ -10,8 +10,6 @@ use crate::scene::packed_rgb::{of_word, words};
 use crate::scene::{Grid, Plane, Rect};
 use crate::simd::dispatch;
 
-/// Width, in pixels, of the band on the far side of a border whose colours are mixed.
-pub(super) const BAND: usize = 2;
 /// A border is matted if its sides differ by more than `MIN_STEP` in δ, and move against each other by more than `MIN_MOTION` pixels over
 /// the view box. Smaller steps are part of one object, or uncover nothing.
 const MIN_STEP: f64 = 0.05;
@@ -42,7 +40,7 @@ pub(crate) struct Rows<'a> {
 pub(super) struct Scratch {
     us: Vec<f64>,
     planes: Vec<[f64; 2]>,
-    /// δ of the visible surface; its maximum within [`BAND`] pixels, and its minimum within one pixel.
+    /// δ of the visible surface; its maximum within the band, and its minimum within one pixel.
     visible: Vec<f32>,
     most: Vec<f32>,
     least: Vec<f32>,
@@ -73,6 +71,8 @@ struct Tile<'a> {
     labels: &'a [u8],
     planes: &'a [Plane],
     index: u32,
+    /// Pixels beside which a nearer one makes a border, as [`neighbours`] orders them.
+    neighbours: &'a [[isize; 2]],
     /// Columns and rows of tiles.
     columns: u32,
     rows: u32,
@@ -80,8 +80,15 @@ struct Tile<'a> {
 
 /// Pixels beside a border that tile `index` owns in the rows `wanted`, row by row.
 #[inline(never)]
-pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, photo: Rows, s: &mut Scratch) -> Vec<BorderPixel> {
-    let tile = Tile::of(geometry, index);
+pub(super) fn of_tile(
+    geometry: &Geometry,
+    index: u32,
+    neighbours: &[[isize; 2]],
+    wanted: &Range<u32>,
+    photo: Rows,
+    s: &mut Scratch,
+) -> Vec<BorderPixel> {
+    let tile = Tile::of(geometry, index, neighbours);
     let r = tile.r;
     let mut out = Vec::new();
     if tile.planes.len() < 2 || tile.labels.len() != r.area() {
@@ -120,33 +127,14 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
     out
 }
 
-/// Pixels within [`BAND`] rows and columns of a pixel, by how far to the right and down they are: nearest first, and those as near row by row.
-const NEIGHBOURS: [[isize; 2]; 24] = [
-    [0, -1],
-    [-1, 0],
-    [1, 0],
-    [0, 1],
-    [-1, -1],
-    [1, -1],
-    [-1, 1],
-    [1, 1],
-    [0, -2],
-    [-2, 0],
-    [2, 0],
-    [0, 2],
-    [-1, -2],
-    [1, -2],
-    [-2, -1],
-    [2, -1],
-    [-2, 1],
-    [2, 1],
-    [-1, 2],
-    [1, 2],
-    [-2, -2],
-    [2, -2],
-    [-2, 2],
-    [2, 2],
-];
+/// Pixels within `band` rows and columns of a pixel, by how far to the right and down they are: nearest first, and those as near row by row.
+pub(super) fn neighbours(band: usize) -> Vec<[isize; 2]> {
+    let side = -(band as isize)..=band as isize;
+    let mut all: Vec<[isize; 2]> = side.clone().flat_map(|v| side.clone().map(move |u| [u, v])).filter(|off| *off != [0, 0]).collect();
+    // keeps the order of rows
+    all.sort_by_key(|[u, v]| u * u + v * v);
+    all
+}
 
 /// The nearest foreground pixel.
 #[derive(Clone, Copy)]
@@ -157,7 +145,7 @@ struct Nearest {
 }
 
 impl<'a> Tile<'a> {
-    fn of(geometry: &'a Geometry, index: u32) -> Self {
+    fn of(geometry: &'a Geometry, index: u32, neighbours: &'a [[isize; 2]]) -> Self {
         let (grid, tile) = (&geometry.grid, &geometry.tiles[index as usize]);
         Self {
             geometry,
@@ -166,6 +154,7 @@ impl<'a> Tile<'a> {
             labels: &tile.labels,
             planes: &tile.planes,
             index,
+            neighbours,
             columns: grid.columns(),
             rows: grid.rows(),
         }
@@ -187,7 +176,7 @@ impl<'a> Tile<'a> {
     /// Computes its maximum around each pixel.
     fn compute_most(&self, s: &mut Scratch) {
         let (w, count) = (self.r.w as usize, self.r.area());
-        largest(&s.visible[..count], w, &mut s.column[..count], &mut s.most[..count]);
+        largest(&s.visible[..count], w, self.geometry.matte_band, &mut s.column[..count], &mut s.most[..count]);
     }
 
     /// Computes its minimum around each pixel, and copies the colours in windows around pixels of these rows of the photo, and around pixels
@@ -198,7 +187,7 @@ impl<'a> Tile<'a> {
         for all in [&mut s.words, &mut s.squares] {
             all.resize(count + COLUMNS, 0);
         }
-        let around = (WINDOW + BAND) as u32;
+        let around = (WINDOW + self.geometry.matte_band) as u32;
         for y in rows.start.saturating_sub(around).max(self.r.y)..(rows.end + around).min(self.r.y + self.r.h) {
             let from = (y - photo.top) as usize * width + self.r.x as usize;
             let to = (y - self.r.y) as usize * w;
@@ -243,7 +232,7 @@ impl<'a> Tile<'a> {
     fn nearest(&self, x: usize, y: usize, middle: f32, s: &Scratch) -> Option<Nearest> {
         let (w, h) = (self.r.w as usize, self.r.h as usize);
         let (px, py) = (self.r.x + x as u32, self.r.y + y as u32);
-        NEIGHBOURS.iter().find_map(|&off| {
+        self.neighbours.iter().find_map(|&off| {
             let (u, v) = (x.checked_add_signed(off[0])?, y.checked_add_signed(off[1])?);
             if u >= w || v >= h || s.visible[v * w + u] < middle {
                 return None;
@@ -335,14 +324,14 @@ fn smaller(a: f32, b: f32) -> f32 {
 }
 
 dispatch!(
-    /// The maximum of the values within [`BAND`] rows and columns of each, `w` values to a row; `column` is scratch memory.
-    largest, largest_body, (values: &[f32], w: usize, column: &mut [f32], out: &mut [f32])
+    /// The maximum of the values within `by` rows and columns of each, `w` values to a row; `column` is scratch memory.
+    largest, largest_body, (values: &[f32], w: usize, by: usize, column: &mut [f32], out: &mut [f32])
 );
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
-fn largest_body(values: &[f32], w: usize, column: &mut [f32], out: &mut [f32]) {
-    extreme(values, w, (column, out), BAND, larger);
+fn largest_body(values: &[f32], w: usize, by: usize, column: &mut [f32], out: &mut [f32]) {
+    extreme(values, w, (column, out), by, larger);
 }
 
 dispatch!(
@@ -389,12 +378,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn neighbours_are_all_pixels_of_the_band_nearest_first() {
-        let band = BAND as isize;
-        let mut want: Vec<[isize; 2]> =
-            (-band..=band).flat_map(|v| (-band..=band).map(move |u| [u, v])).filter(|off| *off != [0, 0]).collect();
-        // keeps the order of rows
-        want.sort_by_key(|[u, v]| u * u + v * v);
-        assert_eq!(NEIGHBOURS[..], want);
+    fn neighbours_are_nearest_first_and_row_by_row() {
+        assert_eq!(neighbours(1), [[0, -1], [-1, 0], [1, 0], [0, 1], [-1, -1], [1, -1], [-1, 1], [1, 1]]);
+        assert_eq!((neighbours(2).len(), neighbours(2)[8], neighbours(2)[23]), (24, [0, -2], [2, 2]));
     }
 }

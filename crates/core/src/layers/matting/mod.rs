@@ -19,6 +19,9 @@ use super::{Geometry, LayerMask, TexturedLayer};
 use crate::parallel;
 use crate::scene::{Class, Grid, Rect};
 
+/// Width of the band in containers: `tmpi-lab ghosts` measures others.
+pub const MATTE_BAND: usize = 2;
+
 /// Mattes the layers of some tiles, starting with tile `first`. `photo` has the rows of pixels of these tiles, and those within their
 /// reach.
 pub(crate) fn matte(geometry: &Geometry, first: u32, tiles: &mut [Vec<TexturedLayer>], photo: Rows) {
@@ -29,8 +32,10 @@ pub(crate) fn matte(geometry: &Geometry, first: u32, tiles: &mut [Vec<TexturedLa
     let rects = [grid.rect(first), grid.rect(first + count - 1)];
     let wanted = rects[0].y..rects[1].y + rects[1].h;
     let around = around(grid, first..first + count);
-    let pixels =
-        parallel::map_init(around.len(), Scratch::default, |s, i| borders::of_tile(geometry, around.start + i as u32, &wanted, photo, s));
+    let neighbours = borders::neighbours(geometry.matte_band);
+    let pixels = parallel::map_init(around.len(), Scratch::default, |s, i| {
+        borders::of_tile(geometry, around.start + i as u32, &neighbours, &wanted, photo, s)
+    });
     let near = Near { geometry, first: around.start, pixels: &pixels };
     let work: Vec<(u32, &mut Vec<TexturedLayer>)> = (first..).zip(tiles).collect();
     let done = parallel::try_each(work, |(index, layers)| {

@@ -1,10 +1,10 @@
 #![allow(clippy::unwrap_used, clippy::float_cmp, reason = "test")]
 use proptest::prelude::*;
 
-use super::borders::{BAND, owned};
+use super::borders::owned;
 use super::matte::{Matte, Mattes, Side};
 use crate::layers::{Tile, TileFrame};
-use crate::{Class, Geometry, Grid, Intrinsics, Photo, Plane, TexturedLayer, ViewBox, texture};
+use crate::{Class, Geometry, Grid, Intrinsics, MATTE_BAND, Photo, Plane, TexturedLayer, ViewBox, texture};
 
 /// `α F + (1 − α) B`, rounded.
 fn over(m: Matte) -> [u8; 3] {
@@ -172,7 +172,10 @@ fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
             };
             let rgb = (0..width * height).map(|i| colour(i % width, i / width)).collect();
             let (tiles, intrinsics) = ((0..grid.tiles()).map(tile).collect(), Intrinsics::centred(width, height, 60.0));
-            (Photo { width, height, rgb }, Geometry { grid, intrinsics, view_box: ViewBox { x: 0.2, y: 0.1, z: 0.0 }, tiles, matted: true })
+            (
+                Photo { width, height, rgb },
+                Geometry { grid, intrinsics, view_box: ViewBox { x: 0.2, y: 0.1, z: 0.0 }, tiles, matte_band: MATTE_BAND },
+            )
         },
     )
 }
@@ -209,9 +212,9 @@ fn stacks(photo: &Photo, geometry: &Geometry, tiles: &[Vec<TexturedLayer>]) -> V
     all
 }
 
-/// Pixels of a rectangle within [`BAND`] of another pixel.
+/// Pixels of a rectangle within [`MATTE_BAND`] of another pixel.
 fn around(r: crate::Rect, x: u32, y: u32) -> impl Iterator<Item = (u32, u32)> {
-    let by = BAND as u32;
+    let by = MATTE_BAND as u32;
     let range = |at: u32, from: u32, length: u32| at.saturating_sub(by).max(from)..(at + by + 1).min(from + length);
     let columns = range(x, r.x, r.w);
     range(y, r.y, r.h).flat_map(move |v| columns.clone().map(move |u| (u, v)))
@@ -239,7 +242,7 @@ proptest! {
     /// Only pixels on the far side of a border are matted, nothing else changes, and no layer covers a mixed colour twice.
     #[test]
     fn only_the_far_side_of_borders_is_matted((photo, geometry) in any_scene()) {
-        let plain = Geometry { matted: false, ..geometry.clone() };
+        let plain = Geometry { matte_band: 0, ..geometry.clone() };
         let (with, without) = (texture(&photo, &geometry, geometry.masks()), texture(&photo, &plain, plain.masks()));
         for (t, (with, without)) in (0..).zip(with.iter().zip(&without)) {
             prop_assert_eq!(with.len(), without.len());

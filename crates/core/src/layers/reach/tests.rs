@@ -85,7 +85,7 @@ impl Screen {
         };
         let intrinsics = Intrinsics::centred(width, height, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(width));
         let tiles = (0..grid.tiles()).map(tile).collect();
-        let geometry = Geometry { grid, intrinsics, view_box, tiles, matted: false };
+        let geometry = Geometry { grid, intrinsics, view_box, tiles, matte_band: 0 };
         Self { geometry, xs, ys, is_frame }
     }
 
@@ -218,7 +218,7 @@ fn a_nearer_surface_in_the_neighbourhood_counts() {
         Tile { planes: vec![Plane::fronto_parallel(0.1).quantised(), near], labels, background: None }
     };
     let (tiles, view_box) = ((0..grid.tiles()).map(tile).collect(), ViewBox { x: 0.3, y: 0.0, z: 0.0 });
-    let geometry = Geometry { grid, intrinsics: Intrinsics::centred(640, 64, 300.0), view_box, tiles, matted: false };
+    let geometry = Geometry { grid, intrinsics: Intrinsics::centred(640, 64, 300.0), view_box, tiles, matte_band: 0 };
     let masks = geometry.masks();
     // 0.85 · 90 pixels from the edge at 300 lies in tile 3, whose own surface uncovers only 27
     let kept = |x: u32| {

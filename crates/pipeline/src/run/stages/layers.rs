@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use tmpi_core::container::{EncodedPhoto, HiddenCodec, OptionalSections, PhotoFormat};
-use tmpi_core::{Class, DisparityMap, Geometry, Photo, TexturedLayer, Uncoloured};
+use tmpi_core::{Class, DisparityMap, Geometry, MATTE_BAND, Photo, TexturedLayer, Uncoloured};
 
 use super::{Placed, Prepared};
 use crate::layers::{self, refine};
@@ -37,7 +37,7 @@ pub fn make_layers(context: &mut Context, prepared: &mut Prepared, placed: Place
     let stage = context.begin("layers")?;
     let Placed { mut geometry, placement } = placed;
     // the container stores the alphas of Ψ, whereas readers derive mattes from the photo
-    geometry.matted = !refined(context);
+    geometry.matte_band = if refined(context) { 0 } else { MATTE_BAND };
     // encoding the photo uses one core; beside all that does not depend on colours and uses all cores, it adds little wall time
     let uploaded = prepared.uploaded.take();
     let file = || ChosenFile::choose(uploaded, prepared.format, &prepared.photo, context.options.quality);

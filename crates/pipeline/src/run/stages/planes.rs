@@ -54,7 +54,7 @@ pub fn place_planes(context: &mut Context, prepared: &Prepared, map: &WeightedDi
     let sizes = context.sizes.unwrap_or(Sizes::of_photo((input.width, input.height)));
     let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>().div_ceil(tiles.len().max(1));
     context.report.memory_bound_bytes = options.memory_with(&sizes, Some(w.max(h)), planes as u32);
-    let geometry = Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles, matted: false };
+    let geometry = Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles, matte_band: 0 };
     let error = &mut context.report.error;
     (error.depth_mae, error.depth_mse, error.depth_q25) = discretisation_error(delta, &grid, &geometry.tiles);
     let tiles = movement.of_planes(delta, &geometry);
@@ -101,7 +101,7 @@ impl WarmStart {
         place_again(delta, None, &grid, &placement, &mut self.tiles, wanted);
         self.changed.clear();
         context.end(stage);
-        Ok(Geometry { grid, intrinsics, view_box: options.view_box, tiles: self.tiles.clone(), matted: false })
+        Ok(Geometry { grid, intrinsics, view_box: options.view_box, tiles: self.tiles.clone(), matte_band: 0 })
     }
 }
 
