@@ -30,6 +30,8 @@ const WRITES: &[JobKind] = &[JobKind::Export, JobKind::Film];
 const RENEWALS: u32 = 4;
 /// Pause before a retry if the library is unreachable.
 const PAUSE: Duration = Duration::from_millis(500);
+/// Shortest time from one stored progress of a job to the next: each takes a transaction.
+const STORE_EVERY: Duration = Duration::from_millis(500);
 /// Time for jobs to end after they are cancelled.
 const END: Duration = Duration::from_secs(2);
 
@@ -160,7 +162,7 @@ async fn hold<T: Send + 'static>(
     if let Err(error) = started {
         return Err(JobEnd::Again(Retry::Fault(format!("cannot start a thread: {error}"))));
     }
-    let mut said = None;
+    let (mut said, mut is_stored, mut last_store) = (None, true, tokio::time::Instant::now());
     loop {
         tokio::select! {
             done = &mut done => {
@@ -169,7 +171,12 @@ async fn hold<T: Send + 'static>(
                 }
                 return done.map_err(|_| JobEnd::Failed(Problem::internal("the job panicked", &"see above")));
             }
-            Some(progress) = told.recv() => said = tell(lease, doing, &progress).await,
+            Some(progress) = told.recv() => {
+                said = tell(lease, doing, &progress).await;
+                is_stored = false;
+                continue;
+            }
+            () = tokio::time::sleep_until(last_store + STORE_EVERY), if !is_stored => {}
             event = events.next() => match event {
                 Some(Event::Photo(id) | Event::Deleted(id)) if id == lease.job.photo => {
                     if let Some(said) = &said {
@@ -187,6 +194,7 @@ async fn hold<T: Send + 'static>(
             Err(LibraryError::LeaseLost) => doing.lost.store(true, Ordering::Release),
             Err(error) => tracing::warn!(%error, "cannot renew a lease"),
         }
+        (is_stored, last_store) = (true, tokio::time::Instant::now());
     }
 }
 
