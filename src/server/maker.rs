@@ -206,21 +206,21 @@ impl PipelineMaker {
         let fitted = options.fitted(&Sizes::of(photo, depth, options, &self.limits)?, &self.limits)?;
         let mut made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, &fitted, sink)?;
         made.report.input.fitted = fitted.max_size != options.max_size;
-        // publish only what can be read back; layers follow from what is read here
-        let (photo, _) = container::read(&made.container)?;
-        let (width, height) = photo::reduced_size((photo.width, photo.height), Some(Limits::THUMBNAIL));
-        let small = photo::resize(&photo, width, height);
-        let disparity = tmpi_pipeline::depth::to_png(&made.disparity)?;
+        let (thumbnail, disparity) = rayon::join(|| thumbnail(&made.container), || tmpi_pipeline::depth::to_png(&made.disparity));
+        let disparity = disparity?;
         let disparity = match &made.before_strokes {
             Some(before) => strokes::keep(&disparity, before)?,
             None => disparity,
         };
-        Ok(Product {
-            thumbnail: encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY)
-                .map_err(|e| ContainerError::Encode(e.to_string()))?,
-            disparity,
-            container: made.container,
-            report: made.report,
-        })
+        Ok(Product { thumbnail: thumbnail?, disparity, container: made.container, report: made.report })
     }
+}
+
+/// A small JPEG file of a container's photo. Reads the whole container, to publish only what can be read back.
+fn thumbnail(bytes: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    // layers follow from what is read here
+    let (photo, _) = container::read(bytes)?;
+    let (width, height) = photo::reduced_size((photo.width, photo.height), Some(Limits::THUMBNAIL));
+    let small = photo::resize(&photo, width, height);
+    encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY).map_err(|e| ContainerError::Encode(e.to_string()))
 }

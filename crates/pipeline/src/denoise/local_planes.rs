@@ -28,7 +28,7 @@ const LEAST: f32 = 0.01;
 /// How degraded a map is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Degradation {
-    /// Standard deviation of the noise that differs from pixel to pixel, in δ.
+    /// Standard deviation of the noise that differs from pixel to pixel, in δ; 0 if the map does not count as noisy.
     pub noise: f32,
     /// Share of pixels, 0 to 1, that lie far beyond all eight neighbours.
     pub outliers: f64,
@@ -41,29 +41,36 @@ impl Degradation {
         if w < 3 || h < 3 {
             return Self { noise: 0.0, outliers: 0.0 };
         }
-        let rows: Vec<(Vec<f32>, usize)> = (1..h - 1)
-            .into_par_iter()
-            .map(|y| {
-                let row = |y: usize| &map.delta[y * w..(y + 1) * w];
-                let (a, b, c) = (row(y - 1), row(y), row(y + 1));
-                let mut beyond = 0;
-                let second = (1..w - 1).map(|x| {
-                    let corners = [a[x - 1], a[x + 1], c[x - 1], c[x + 1]];
-                    let sides = [a[x], b[x - 1], b[x + 1], c[x]];
-                    let around = corners.iter().chain(&sides);
-                    let (low, high) = around.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, u), &v| (l.min(v), u.max(v)));
-                    beyond += usize::from(b[x] > high + BEYOND || b[x] < low - BEYOND);
-                    (corners.iter().sum::<f32>() - 2.0 * sides.iter().sum::<f32>() + 4.0 * b[x]).abs()
-                });
-                (second.collect(), beyond)
+        // the mixed second difference at each pixel of a row, and whether the pixel is an outlier
+        let second = |y: usize| {
+            let row = |y: usize| &map.delta[y * w..(y + 1) * w];
+            let (a, b, c) = (row(y - 1), row(y), row(y + 1));
+            (1..w - 1).map(move |x| {
+                let corners = [a[x - 1], a[x + 1], c[x - 1], c[x + 1]];
+                let sides = [a[x], b[x - 1], b[x + 1], c[x]];
+                let around = corners.iter().chain(&sides);
+                let (low, high) = around.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, u), &v| (l.min(v), u.max(v)));
+                let is_beyond = b[x] > high + BEYOND || b[x] < low - BEYOND;
+                ((corners.iter().sum::<f32>() - 2.0 * sides.iter().sum::<f32>() + 4.0 * b[x]).abs(), is_beyond)
             })
-            .collect();
-        let outliers = rows.iter().map(|r| r.1).sum::<usize>() as f64 / (w * h) as f64;
-        let mut second: Vec<f32> = rows.into_iter().flat_map(|r| r.0).collect();
-        let middle = second.len() / 2;
+        };
         // the root of the weights' sum of squares is 6; a normal deviate is below .6745 half of the time
-        let noise = *second.select_nth_unstable_by(middle, f32::total_cmp).1 / 0.6745 / 6.0;
-        Self { noise, outliers }
+        let deviation = |second: f32| second / 0.6745 / 6.0;
+        let counted = |y: usize| {
+            second(y).fold([0, 0], |[calm, beyond], (second, is_beyond)| {
+                [calm + usize::from(deviation(second) < NOISY), beyond + usize::from(is_beyond)]
+            })
+        };
+        let [calm, beyond] = (1..h - 1).into_par_iter().map(counted).reduce(|| [0, 0], |a, b| [a[0] + b[0], a[1] + b[1]]);
+        let middle = (w - 2) * (h - 2) / 2;
+        // the median takes long, and is not noisy if more than half of the values are not
+        let noise = if calm > middle {
+            0.0
+        } else {
+            let mut all: Vec<f32> = (1..h - 1).into_par_iter().flat_map_iter(|y| second(y).map(|s| s.0)).collect();
+            deviation(*all.select_nth_unstable_by(middle, f32::total_cmp).1)
+        };
+        Self { noise, outliers: beyond as f64 / (w * h) as f64 }
     }
 
     /// Whether cleaning helps.
@@ -198,7 +205,8 @@ mod tests {
         assert_eq!(denoise(&map), map);
         let coarse = DisparityMap { delta: map.delta.iter().map(|d| (d * 255.0).round() / 255.0).collect(), ..map };
         assert_eq!(denoise(&coarse), coarse, "rounding to 8 bits is not noise");
-        for deviation in [0.003, 0.01, 0.0316] {
+        assert!(Degradation::of(&with_noise(&map, 0.001)).noise.abs() < 1e-12, "too little to count");
+        for deviation in [0.002, 0.003, 0.01, 0.0316] {
             let got = Degradation::of(&with_noise(&map, deviation)).noise;
             assert!((got / deviation - 1.0).abs() < 0.15, "{deviation}: {got}");
         }

@@ -16,6 +16,9 @@ const BACKGROUND_STEP: f32 = 0.05;
 /// Most tiles that a thread takes before another can take over the rest.
 const MAX_PIECE: usize = 8;
 
+/// Pixels of a row that are compared at once, in vectors.
+const AT_ONCE: usize = 32;
+
 /// Which pixels of a margin a background plane is fitted to, and how many it takes. `tmpi-lab bench --only backgrounds` compares other
 /// rules than the default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,9 +110,15 @@ fn background(
         // in the tile's own rows, only left and right of it
         let beside = if (r.y..r.y + r.h).contains(&y) { [0..left, right..end] } else { [0..end, 0..0] };
         for part in beside {
-            for (u, d) in us[part.clone()].iter().zip(&row[part]).step_by(step) {
-                if *d < far {
-                    points.add(*u, v, f64::from(*d), 1.0);
+            for (us, row) in us[part.clone()].chunks(AT_ONCE * step).zip(row[part].chunks(AT_ONCE * step)) {
+                // most pixels are not farther
+                if row.iter().fold(0, |any, d| any | u8::from(*d < far)) == 0 {
+                    continue;
+                }
+                for (u, d) in us.iter().zip(row).step_by(step) {
+                    if *d < far {
+                        points.add(*u, v, f64::from(*d), 1.0);
+                    }
                 }
             }
         }
