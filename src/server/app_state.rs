@@ -221,7 +221,7 @@ impl AppState {
     pub async fn photo(&self, text: &str) -> Result<Photo, Problem> {
         let none = || Problem::not_found(format!("there is no photo {text:?}"));
         let id = text.parse().map_err(|_| none())?;
-        let photo = self.library.find(id).await?.ok_or_else(none)?;
+        let photo = self.library.find_recent(id).await?.ok_or_else(none)?;
         if self.guard.as_ref().is_some_and(|guard| !guard.allows(&photo)) {
             return Err(none());
         }

@@ -16,6 +16,7 @@ use tokio::time::timeout;
 
 use crate::error::Result;
 use crate::ids::PhotoId;
+use crate::recent_photos::RecentPhotos;
 
 /// PostgreSQL's channel.
 pub(crate) const CHANNEL: &str = "tmpi_library";
@@ -81,6 +82,7 @@ struct Receivers {
     sender: broadcast::Sender<Event>,
     /// The last progress of each photo, for new followers.
     progress: Mutex<HashMap<PhotoId, Value>>,
+    recent: RecentPhotos,
 }
 
 impl Receivers {
@@ -88,9 +90,14 @@ impl Receivers {
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         match &event {
             Event::Progress { photo, progress: said } => drop(progress.insert(*photo, said.clone())),
-            Event::Photo(photo) | Event::Deleted(photo) => drop(progress.remove(photo)),
+            Event::Photo(photo) | Event::Deleted(photo) => {
+                progress.remove(photo);
+                self.recent.forget(*photo);
+            }
             Event::Gap => progress.clear(),
-            Event::Revoked | Event::Delivery => {}
+            // links to a photo end by a change of its row
+            Event::Revoked => self.recent.clear(),
+            Event::Delivery => {}
         }
         drop(progress);
         // fails without receivers
@@ -109,7 +116,8 @@ pub(crate) struct Events {
 impl Events {
     /// Connects the receivers of this process; with a PostgreSQL `url`, those of all nodes.
     pub async fn open(url: Option<&str>) -> Result<Self> {
-        let receivers = Arc::new(Receivers { sender: broadcast::Sender::new(BEHIND), progress: Mutex::default() });
+        let receivers =
+            Arc::new(Receivers { sender: broadcast::Sender::new(BEHIND), progress: Mutex::default(), recent: RecentPhotos::default() });
         let listener = match url {
             Some(url) => {
                 let mut task = JoinSet::new();
@@ -128,6 +136,11 @@ impl Events {
     /// The last progress of a photo.
     pub fn progress(&self, photo: PhotoId) -> Option<Value> {
         self.receivers.progress.lock().unwrap_or_else(PoisonError::into_inner).get(&photo).cloned()
+    }
+
+    /// Photos that were read a moment ago. `None` if other nodes may change them: their events arrive later than their changes.
+    pub fn recent(&self) -> Option<&RecentPhotos> {
+        self.listener.is_none().then_some(&self.receivers.recent)
     }
 
     /// Sends the events of a committed transaction to this process's receivers. Those of other nodes arrive through the listener.

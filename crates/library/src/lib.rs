@@ -27,6 +27,7 @@ mod owner;
 mod photo;
 mod photos;
 mod queue;
+mod recent_photos;
 mod remake;
 mod retention;
 mod room_leases;

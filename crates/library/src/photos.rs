@@ -71,6 +71,20 @@ impl Library {
         self.read_photo(self.database().reader(), id).await
     }
 
+    /// Like [`Self::find`], for many requests a second: with SQLite, a change by another process may show half a second later.
+    pub async fn find_recent(&self, id: PhotoId) -> Result<Option<Photo>> {
+        let Some(recent) = self.database().events().recent() else { return self.find(id).await };
+        if let Some(photo) = recent.get(id) {
+            return Ok(Some(photo));
+        }
+        let changes = recent.changes();
+        let photo = self.find(id).await?;
+        if let Some(photo) = &photo {
+            recent.keep(photo, changes);
+        }
+        Ok(photo)
+    }
+
     /// A photo.
     pub async fn get(&self, id: PhotoId) -> Result<Photo> {
         self.find(id).await?.ok_or(LibraryError::NotFound("photo"))

@@ -8,6 +8,7 @@ on_both! {
     deleting_leaves_neither_rows_nor_blobs,
     revoking_links_ends_earlier_ones,
     statistics_count_all,
+    a_recent_row_follows_every_change,
 }
 
 /// All pages of a list.
@@ -101,6 +102,41 @@ async fn revoking_links_ends_earlier_ones(bed: Bed) {
     let again = library.accept(upload(1, owner("ann"))).await.unwrap().photo;
     assert!(!allows(Grant::View, &again), "another upload of it");
     assert!(matches!(library.revoke_links(PhotoId::from_bytes([0; 16])).await, Err(LibraryError::NotFound(_))));
+}
+
+async fn a_recent_row_follows_every_change(bed: Bed) {
+    let library = bed.node().await;
+    let id = library.accept(photo(1)).await.unwrap().photo.id;
+    let followed = async |what: &str| {
+        // the second time from memory, if it is kept
+        for _ in 0..2 {
+            assert_eq!(library.find_recent(id).await.unwrap(), library.find(id).await.unwrap(), "{what}");
+        }
+    };
+    followed("accepted").await;
+    let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
+    followed("taken").await;
+    let made = library.finish(&lease, made(&library, &lease).await).await.unwrap();
+    followed("made").await;
+    library.set_settings(&made, &json!({"title": "Another"})).await.unwrap();
+    followed("renamed").await;
+    library.revoke_links(id).await.unwrap();
+    followed("links revoked").await;
+    bed.jump(1);
+    library.move_to_front(id).await.unwrap();
+    followed("moved to the front").await;
+    library.mark_damaged(&made, "a test").await.unwrap();
+    followed("damaged").await;
+    // by another process, a moment later
+    bed.node().await.revoke_links(id).await.unwrap();
+    let shown = async {
+        while library.find_recent(id).await.unwrap() != library.find(id).await.unwrap() {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(10), shown).await.expect("a change by another process shows");
+    library.delete(id, None).await.unwrap();
+    followed("deleted").await;
 }
 
 async fn statistics_count_all(bed: Bed) {
