@@ -69,7 +69,8 @@ pub fn build(data: &[u8]) -> Option<Vec<u8>> {
     };
     let hidden = [None, None, Some(HiddenCodec::Png), Some(HiddenCodec::Jpeg(80))][usize::from(how >> 2 & 3)];
     let geometry = Geometry { matte_band: if how >> 6 & 1 == 1 { MATTE_BAND } else { 0 }, ..geometry };
-    let optional = if geometry.matte_band > 0 { OptionalSections::default() } else { OptionalSections { alpha: how >> 4 & 1 == 1, hidden } };
+    let optional =
+        if geometry.matte_band > 0 { OptionalSections::default() } else { OptionalSections { alpha: how >> 4 & 1 == 1, hidden } };
     let mut scene = compose(photo.clone(), &geometry, texture(&photo, &geometry, geometry.masks()));
     if optional.alpha {
         scene.texels.alpha.iter_mut().filter(|a| (1..255).contains(*a)).step_by(3).for_each(|a| *a = 17);

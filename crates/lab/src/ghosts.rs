@@ -230,7 +230,7 @@ pub fn of_photo(models: &Models, name: &str, file: &[u8]) -> Result<[OfBand; BAN
             let (scene, ms) = with_band(&made.container, band)?;
             found.ms = found.ms.min(ms);
             if round == 0 {
-                found.ghosts = of_scene(Arc::new(scene), surface.all())?;
+                found.ghosts = of_scene(&Arc::new(scene), surface.all())?;
             }
         }
     }
@@ -238,12 +238,12 @@ pub fn of_photo(models: &Models, name: &str, file: &[u8]) -> Result<[OfBand; BAN
 }
 
 /// Ghosts at [`MOVE`] to both sides.
-fn of_scene(scene: Arc<Scene>, delta: &[f32]) -> Result<Ghosts, LabError> {
+fn of_scene(scene: &Arc<Scene>, delta: &[f32]) -> Result<Ghosts, LabError> {
     let (width, height) = (scene.photo.width, scene.photo.height);
     let subject = Subject { photo: &scene.photo, delta, focal: scene.intrinsics.fx };
     let (cpu, mut all) = (Cpu::default(), Ghosts::default());
     for tx in [MOVE, -MOVE] {
-        let view = cpu.render(&scene, &Camera { pose: Pose::at(tx, 0.0, 0.0), intrinsics: scene.intrinsics, width, height })?;
+        let view = cpu.render(scene, &Camera { pose: Pose::at(tx, 0.0, 0.0), intrinsics: scene.intrinsics, width, height })?;
         all.add(subject.ghosts(&view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect::<Vec<_>>(), tx));
     }
     Ok(all)

@@ -43,7 +43,8 @@ pub(super) fn run(args: &GhostArgs) -> anyhow::Result<()> {
         return result(&serde_json::to_string_pretty(&rows)?);
     }
     let outlines = |of: OfBand| format!("{:.1}", 100.0 * of.ghosts.outline_share());
-    let head: Vec<String> = ["".into(), "places".into()].into_iter().chain(BANDS.map(|band| format!("outlines at {band} px, %"))).collect();
+    let head: Vec<String> =
+        [String::new(), "places".into()].into_iter().chain(BANDS.map(|band| format!("outlines at {band} px, %"))).collect();
     let lines = rows.iter().map(|(name, of)| [vec![name.clone(), of[0].ghosts.places.to_string()], of.map(outlines).to_vec()].concat());
     let photos = table(1, &head, lines);
     let bands = BANDS.into_iter().zip(all).map(|(band, of)| {
