@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 use std::sync::PoisonError;
+use std::time::Instant;
 
 use serde_json::Value;
 use sqlx::{Any, AssertSqlSafe, Executor};
@@ -71,16 +72,17 @@ impl Library {
         self.read_photo(self.database().reader(), id).await
     }
 
-    /// Like [`Self::find`], for many requests a second: with SQLite, a change by another process may show half a second later.
+    /// Like [`Self::find`], for many requests a second: with SQLite, a change by another process, or by a request that was cut off while
+    /// it committed, may show half a second later.
     pub async fn find_recent(&self, id: PhotoId) -> Result<Option<Photo>> {
         let Some(recent) = self.database().events().recent() else { return self.find(id).await };
         if let Some(photo) = recent.get(id) {
             return Ok(Some(photo));
         }
-        let changes = recent.changes();
+        let (read, changes) = (Instant::now(), recent.changes());
         let photo = self.find(id).await?;
         if let Some(photo) = &photo {
-            recent.keep(photo, changes);
+            recent.keep(photo, read, changes);
         }
         Ok(photo)
     }
@@ -112,6 +114,10 @@ impl Library {
         let mut tx = self.database().write().await?;
         let before = locked_photo(&mut tx, seen.id).await?;
         if before.settings_version != seen.settings_version || before.accepted_at != seen.accepted_at {
+            if let Some(recent) = self.database().events().recent() {
+                // a caller that tries again reads the row as it is
+                recent.forget(seen.id);
+            }
             return Err(LibraryError::Changed);
         }
         let update = "UPDATE photos SET settings = $1, settings_version = settings_version + 1 WHERE id = $2";

@@ -33,13 +33,13 @@ impl RecentPhotos {
         rows.by_id.get(&id).filter(|(read, _)| read.elapsed() < FRESH).map(|(_, photo)| photo.clone())
     }
 
-    /// Number of changes so far; to be read before the row that is kept.
+    /// Number of changes so far, to be read before the row that is kept.
     pub fn changes(&self) -> u64 {
         self.rows().changes
     }
 
-    /// Keeps a row, unless photos have changed since there were so many `changes`: then it may be of before.
-    pub fn keep(&self, photo: &Photo, changes: u64) {
+    /// Keeps a row that was `read` then, unless photos have changed since there were so many `changes`: then it may be of before.
+    pub fn keep(&self, photo: &Photo, read: Instant, changes: u64) {
         let mut rows = self.rows();
         if rows.changes != changes {
             return;
@@ -47,7 +47,7 @@ impl RecentPhotos {
         if rows.by_id.len() >= ROWS {
             rows.by_id.clear();
         }
-        rows.by_id.insert(photo.id, (Instant::now(), photo.clone()));
+        rows.by_id.insert(photo.id, (read, photo.clone()));
     }
 
     /// Forgets all photos.

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use tmpi_core::container::EncodedPhoto;
+
 use super::tests::ok;
 use super::*;
 
@@ -31,6 +33,9 @@ fn odd_and_broken_real_files_decode_or_are_refused() {
                     stripped += 1;
                     assert_eq!(ok(&file).photo, got.photo, "{name} changes when stripped");
                     assert!(file.len() <= bytes.len() + 18, "{name} grew");
+                    // as readers of a container decode it, which keeps this file
+                    let kept = EncodedPhoto { bytes: file, format: got.format }.decode();
+                    assert_eq!(kept.unwrap(), got.photo, "{name} differs in a container");
                 }
             }
             Err(e) => {
