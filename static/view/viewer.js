@@ -265,7 +265,8 @@ export class Viewer extends ViewerState {
     this.#resizes.disconnect();
     document.removeEventListener('visibilitychange', this.#onVisible);
     this.renderer?.dispose();
-    leaveContext(this.#holder);
+    // a backend that is being created has its context until that is done
+    if (!this.#creatingBackend) leaveContext(this.#holder);
     this.serverViews?.dispose();
     this.#live?.dispose();
     this.#stage.dispose();
@@ -342,12 +343,15 @@ export class Viewer extends ViewerState {
     this.#creatingBackend = true;
     const backend = await this.#backends.next(this.scene, (reason) => this.#onLost(reason), this.#holder);
     this.#creatingBackend = false;
+    if (this.disposed) {
+      if (backend !== 'wait') backend?.renderer.dispose();
+      leaveContext(this.#holder);
+      return;
+    }
     if (backend === 'wait') {
       this.#waitsForContext = true;
       return;
     }
-    if (this.disposed) leaveContext(this.#holder);
-    if (this.disposed) return backend?.renderer.dispose();
     if (!backend) return this.#serve(this.#backends.reason);
     this.#detail?.dispose();
     this.#detail = null;
