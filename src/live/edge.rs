@@ -104,7 +104,7 @@ impl Edge<'_> {
         self.watched.elapsed() > UNWATCHED
     }
 
-    /// Relays one origin until its farewell, or until nobody watches.
+    /// Relays one origin until its farewell, or until the last viewer has left.
     async fn subscribe(&mut self, origin: &Origin) -> Result<Option<Bye>, EdgeError> {
         let mut socket = self.nodes.subscribe(origin, self.name).await?;
         let (mut look, mut told, mut told_at) = (interval(LOOK), 0, None::<Instant>);
