@@ -91,6 +91,14 @@ mod tests {
         }
     }
 
+    /// Flat pictures have variance 0, so SSIM has a closed form.
+    #[test]
+    fn flat_pictures_match_the_closed_form() {
+        let (a, b) = (vec![[51u8; 3]; 300], vec![[102u8; 3]; 300]);
+        let want = (2.0 * 0.2 * 0.4 + C1) / (0.04 + 0.16 + C1);
+        assert!(ssim_map(&a, &b, 20).iter().all(|s| (f64::from(*s) - want).abs() < 1e-6));
+    }
+
     #[test]
     fn equal_pictures_have_ssim_1_and_noise_lowers_it() {
         let a: Vec<[u8; 3]> = (0..40 * 30).map(|i: u32| [(i % 40 * 6) as u8, (i / 40 * 8) as u8, 90]).collect();
