@@ -13,7 +13,7 @@ use std::cell::RefCell;
 pub use decoder::{Decoder, Output};
 
 thread_local! {
-    static DECODER: RefCell<Decoder> = RefCell::new(Decoder::default());
+    static DECODER: RefCell<Option<Decoder>> = const { RefCell::new(None) };
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
@@ -27,7 +27,7 @@ pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
         // a panic in a call holds the borrow of the decoder, so its text is stored separately
         PANIC.set(panic.to_string());
     }));
-    DECODER.with_borrow_mut(|decoder| decoder.room(length).as_mut_ptr())
+    DECODER.with_borrow_mut(|decoder| held(decoder).room(length).as_mut_ptr())
 }
 
 /// Takes the input buffer as the container. The bytes of its pictures may be replaced by zeros.
@@ -74,8 +74,15 @@ pub extern "C" fn tmpi_output_length(what: u32) -> usize {
     output(what, <[u8]>::len)
 }
 
+/// The decoder, a new one at the first call. If the variable held one from the start, the module would have code to drop it.
+#[inline(never)]
+fn held(decoder: &mut Option<Decoder>) -> &mut Decoder {
+    decoder.get_or_insert_default()
+}
+
 fn call(f: impl FnOnce(&mut Decoder) -> Result<i32, String>) -> i32 {
     DECODER.with_borrow_mut(|decoder| {
+        let decoder = held(decoder);
         f(decoder).unwrap_or_else(|text| {
             decoder.text = text;
             FAILED
@@ -87,5 +94,5 @@ fn output<T>(what: u32, f: impl Fn(&[u8]) -> T) -> T {
     if what == Output::Panic as u32 {
         return PANIC.with_borrow(|text| f(text.as_bytes()));
     }
-    DECODER.with_borrow(|decoder| f(decoder.output(what)))
+    DECODER.with_borrow(|decoder| f(decoder.as_ref().map_or(&[], |decoder| decoder.output(what))))
 }

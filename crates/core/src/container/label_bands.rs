@@ -41,8 +41,7 @@ fn parts<'a>(grid: &Grid, counts: &'a [u8], rows: impl Iterator<Item = u32>) -> 
         let from = std::mem::replace(first, *first + rows);
         let (_, part) = grid.part(0..columns, from..*first);
         let counts = &counts[(from * columns) as usize..(*first * columns) as usize];
-        let labels = (0..part.tiles()).map(|t| part.rect(t).area()).sum();
-        Some(Part { grid: part, counts, labels })
+        Some(Part { grid: part, counts, labels: part.tile_pixels() })
     });
     cut.collect()
 }

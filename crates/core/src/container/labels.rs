@@ -27,6 +27,8 @@ impl Models {
     }
 
     /// Untrained models.
+    // never inlined: the page's decoder would have it in each caller
+    #[inline(never)]
     pub fn new() -> Box<Self> {
         Box::new(Self {
             left: [Bit::default(); CONTEXTS],
@@ -67,8 +69,7 @@ pub fn encode_by(models: &mut Models, grid: &Grid, counts: &[u8], labels: &[u8])
 
 /// Decodes the labels of all tiles; `counts` has an entry from 1 to 64 for each tile of the grid.
 pub fn decode(grid: &Grid, counts: &[u8], data: &[u8]) -> Result<Vec<u8>, ContainerError> {
-    let total = (0..grid.tiles()).map(|t| grid.rect(t).area()).sum();
-    let mut labels = vec![0; total];
+    let mut labels = vec![0; grid.tile_pixels()];
     decode_by(&mut Models::new(), grid, counts, data, &mut labels)?;
     Ok(labels)
 }

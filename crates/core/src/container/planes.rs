@@ -30,6 +30,8 @@ struct Number {
 }
 
 impl Number {
+    // never inlined: the arrays of models are then copies of one, not written out
+    #[inline(never)]
     fn new() -> Self {
         Self { length: [Bit::default(); 1 << LENGTH_BITS], sign: Bit::default(), second: [Bit::default(); 1 << LENGTH_BITS] }
     }
@@ -54,6 +56,8 @@ impl Number {
 }
 
 /// Codes a number of `bits` bits from the highest bit.
+// the page's decoder would have the loop unrolled in each caller
+#[cfg_attr(target_arch = "wasm32", inline(never))]
 fn tree(models: &mut [Bit], bits: u32, value: u32, coder: &mut impl Coder) -> u32 {
     let mut node = 1;
     for i in (0..bits).rev() {

@@ -3,6 +3,7 @@
 
 use std::ops::Range;
 
+use super::visibility_kernels::nearest;
 use crate::scene::{Plane, Rect};
 
 /// Side of a block in pixels. Blocks start at multiples of it.
@@ -67,8 +68,7 @@ impl CoarseSurface {
     /// The greatest δ of all blocks that overlap a rectangle, at least 0.
     pub fn nearest(&self, win: Rect) -> f32 {
         let (columns, rows) = (blocks(win.x, win.w), blocks(win.y, win.h));
-        let all = rows.flat_map(|row| &self.most[self.at(columns.start, row)..self.at(columns.end, row)]);
-        all.fold(0.0, |most, &d| if d > most { d } else { most })
+        nearest(&self.most[self.at(columns.start, rows.start)..], self.columns, columns.len(), rows.len())
     }
 
     /// True if any pixel of a block may be open.

@@ -1,6 +1,5 @@
 //! The visible surface: δ at each pixel of the photo.
 
-use std::convert::Infallible;
 use std::ops::Range;
 
 use super::coarse_surface::CoarseSurface;
@@ -31,12 +30,7 @@ impl Surface {
     pub(super) fn of(geometry: &Geometry, rows: Range<u32>) -> Self {
         let width = geometry.grid.width as usize;
         let mut surface = Self { width, top: rows.start, delta: vec![0.0; width * rows.len()], coarse: None };
-        let bands = (rows.start..).step_by(BAND).zip(surface.delta.chunks_mut(width * BAND)).collect();
-        let done = parallel::try_each(bands, |(top, band): (u32, &mut [f32])| {
-            visible(geometry, top, band);
-            Ok::<(), Infallible>(())
-        });
-        let Ok(()) = done;
+        parallel::each_piece(&mut surface.delta, width * BAND, |i, band| visible(geometry, rows.start + (i * BAND) as u32, band));
         surface.coarse = geometry.searches_blocks().then(|| CoarseSurface::of(width, surface.top, &surface.delta));
         surface
     }
@@ -83,18 +77,14 @@ impl Surface {
     pub(super) fn exclude_mixed(&mut self) {
         let width = self.width;
         // the rows beside a band, before any pixel is excluded
-        let rows: Vec<&[f32]> = self.delta.chunks(width).collect();
-        let beside = |row: Option<usize>| row.and_then(|row| rows.get(row)).copied().unwrap_or_default().to_vec();
-        let edges: Vec<Edges> = (0..rows.len())
-            .step_by(BAND)
-            .map(|first| Edges { above: beside(first.checked_sub(1)), below: beside(Some(first + BAND)) })
-            .collect();
-        let bands = self.delta.chunks_mut(width * BAND).zip(edges).collect();
-        let done = parallel::try_each(bands, |(band, edges): (&mut [f32], Edges)| {
-            edges.exclude_mixed(band, width);
-            Ok::<(), Infallible>(())
+        let bands = self.delta.chunks(width * BAND);
+        let above: Vec<Vec<f32>> = bands.clone().map(|band| band[band.len() - width..].to_vec()).collect();
+        let below: Vec<Vec<f32>> = bands.map(|band| band[..width].to_vec()).collect();
+        parallel::each_piece(&mut self.delta, width * BAND, |i, band| {
+            let above = i.checked_sub(1).map_or(&[][..], |i| above[i].as_slice());
+            let below = below.get(i + 1).map_or(&[][..], Vec::as_slice);
+            exclude_mixed(band, width, above, below);
         });
-        let Ok(()) = done;
     }
 }
 
@@ -119,24 +109,17 @@ fn visible(geometry: &Geometry, top: u32, band: &mut [f32]) {
     }
 }
 
-/// The rows above and below some rows; empty at the ends of the surface.
-struct Edges {
-    above: Vec<f32>,
-    below: Vec<f32>,
-}
-
-impl Edges {
-    fn exclude_mixed(self, band: &mut [f32], width: usize) {
-        let Self { mut above, below: end } = self;
-        // padded by one pixel at both ends
-        let (mut here, mut nearest) = (Vec::with_capacity(width), vec![f32::NEG_INFINITY; width + 2]);
-        for y in 0..band.len() / width {
-            let (row, below) = band[y * width..].split_at_mut(width);
-            here.clear();
-            here.extend_from_slice(row);
-            exclude(row, &above, below.get(..width).unwrap_or(&end), &mut nearest);
-            std::mem::swap(&mut above, &mut here);
-        }
+/// Sets mixed pixels of some rows to infinity. The rows above and below them are empty at the ends of the surface.
+fn exclude_mixed(band: &mut [f32], width: usize, above: &[f32], end: &[f32]) {
+    // padded by one pixel at both ends
+    let mut nearest = vec![f32::NEG_INFINITY; width + 2];
+    let (mut here, mut above) = (Vec::with_capacity(width), above.to_vec());
+    for y in 0..band.len() / width {
+        let (row, below) = band[y * width..].split_at_mut(width);
+        here.clear();
+        here.extend_from_slice(row);
+        exclude(row, &above, below.get(..width).unwrap_or(end), &mut nearest);
+        std::mem::swap(&mut above, &mut here);
     }
 }
 

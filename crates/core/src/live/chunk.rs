@@ -120,7 +120,7 @@ pub fn decode(grid: &Grid, chunk: &Chunk) -> Result<Vec<(u32, Tile)>, LiveError>
         return Err(LiveError::broken(format!("a tile has more than {MAX_PLANES} planes")));
     }
     let counts: Vec<u8> = own.iter().map(|t| t.planes.len() as u8).collect();
-    let mut all = vec![0; (0..part.tiles()).map(|t| part.rect(t).area()).sum()];
+    let mut all = vec![0; part.tile_pixels()];
     labels::decode_by(&mut coders.labels, &part, &counts, &chunk.label_data, &mut all)?;
     let mut rest = all.as_slice();
     for (i, t) in (0..).zip(&mut own) {

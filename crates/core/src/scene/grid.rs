@@ -116,6 +116,12 @@ impl Grid {
         Rect { x, y, w: self.size.min(self.width - x), h: self.size.min(self.height - y) }
     }
 
+    /// Number of pixels of all tiles. Where tiles overlap, pixels count several times.
+    pub fn tile_pixels(&self) -> usize {
+        let side = |count: u32, length: u32| ((count - 1) * self.size + self.size.min(length - (count - 1) * self.stride)) as usize;
+        side(self.columns(), self.width) * side(self.rows(), self.height)
+    }
+
     /// Upper left pixel of tile `index`.
     pub fn origin(&self, index: u32) -> (u32, u32) {
         let columns = self.columns();
@@ -207,6 +213,7 @@ mod tests {
                 } }
             }
             prop_assert!(seen.into_iter().all(|s| s));
+            prop_assert_eq!(g.tile_pixels(), (0..g.tiles()).map(|t| g.rect(t).area()).sum::<usize>());
             prop_assert!(drawn.into_iter().all(|s| s));
         }
     }

@@ -129,11 +129,26 @@ pub(super) fn of_tile(
 
 /// Pixels within `band` rows and columns of a pixel, by how far to the right and down they are: nearest first, and those as near row by row.
 pub(super) fn neighbours(band: usize) -> Vec<[isize; 2]> {
-    let side = -(band as isize)..=band as isize;
-    let mut all: Vec<[isize; 2]> = side.clone().flat_map(|v| side.clone().map(move |u| [u, v])).filter(|off| *off != [0, 0]).collect();
-    // keeps the order of rows
-    all.sort_by_key(|[u, v]| u * u + v * v);
+    let band = band as isize;
+    let mut all = Vec::new();
+    // no sorting, whose code would be a twentieth of the page's decoder
+    for square in 1..=2 * band * band {
+        for v in -band..=band {
+            for u in -band..=band {
+                if u * u + v * v == square {
+                    all.push([u, v]);
+                }
+            }
+        }
+    }
     all
+}
+
+/// Makes room for `count` pixels and [`COLUMNS`] more values.
+// never inlined: the page's decoder would have it six times
+#[inline(never)]
+fn resize<T: Clone + Default>(values: &mut Vec<T>, count: usize) {
+    values.resize(count + COLUMNS, T::default());
 }
 
 /// The nearest foreground pixel.
@@ -164,7 +179,7 @@ impl<'a> Tile<'a> {
     fn compute_visible(&self, s: &mut Scratch) {
         let (w, count) = (self.r.w as usize, self.r.area());
         for all in [&mut s.visible, &mut s.most, &mut s.least, &mut s.column] {
-            all.resize(count + COLUMNS, 0.0);
+            resize(all, count);
         }
         self.frame.columns(self.r.x, self.r.w, &mut s.us);
         let columns = Columns { us: &s.us, labels: self.labels, planes: self.planes };
@@ -185,7 +200,7 @@ impl<'a> Tile<'a> {
         let (w, width, count) = (self.r.w as usize, self.geometry.grid.width as usize, self.r.area());
         smallest(&s.visible[..count], w, &mut s.column[..count], &mut s.least[..count]);
         for all in [&mut s.words, &mut s.squares] {
-            all.resize(count + COLUMNS, 0);
+            resize(all, count);
         }
         let around = (WINDOW + self.geometry.matte_band) as u32;
         for y in rows.start.saturating_sub(around).max(self.r.y)..(rows.end + around).min(self.r.y + self.r.h) {
@@ -365,8 +380,9 @@ fn extreme(values: &[f32], w: usize, (column, out): (&mut [f32], &mut [f32]), by
 }
 
 /// Replaces each value by what `pick` returns for it and another.
-#[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
+// must be compiled with the caller's target features; the page's decoder has no others, and would have the loop eight times
+#[cfg_attr(target_arch = "wasm32", inline(never))]
+#[cfg_attr(not(target_arch = "wasm32"), inline(always))]
 fn replace(values: &mut [f32], others: &[f32], pick: impl Fn(f32, f32) -> f32) {
     for (value, other) in values.iter_mut().zip(others) {
         *value = pick(*value, *other);

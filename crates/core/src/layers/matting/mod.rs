@@ -37,12 +37,7 @@ pub(crate) fn matte(geometry: &Geometry, first: u32, tiles: &mut [Vec<TexturedLa
         borders::of_tile(geometry, around.start + i as u32, &neighbours, &wanted, photo, s)
     });
     let near = Near { geometry, first: around.start, pixels: &pixels };
-    let work: Vec<(u32, &mut Vec<TexturedLayer>)> = (first..).zip(tiles).collect();
-    let done = parallel::try_each(work, |(index, layers)| {
-        near.apply(index, layers);
-        Ok::<(), std::convert::Infallible>(())
-    });
-    let Ok(()) = done;
+    parallel::each_piece(tiles, 1, |i, tile| near.apply(first + i as u32, &mut tile[0]));
 }
 
 /// Whole rows of tiles that contain all tiles overlapping the given ones.
@@ -144,6 +139,8 @@ impl Near<'_> {
     }
 
     /// Pixels that tile `owner` owns in the rows of pixels of tile `index`.
+    // never inlined: the page's decoder would have it four times
+    #[inline(never)]
     fn owner(&self, owner: u32, index: u32, r: Rect) -> Option<Owner<'_>> {
         let pixels = self.pixels.get(owner.checked_sub(self.first)? as usize)?;
         let before = |y: u32| pixels.partition_point(|pixel| pixel.y < y);

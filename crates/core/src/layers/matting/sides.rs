@@ -5,8 +5,9 @@ use crate::simd::dispatch;
 
 /// Half the size, in pixels, of the window around a pixel that supplies the colours of either side.
 pub(super) const WINDOW: usize = 4;
-/// Columns that are summed together: those of the window, rounded up to whole vectors.
-pub(super) const COLUMNS: usize = 16;
+/// Columns that are summed together: those of the window, rounded up to whole vectors, of four numbers in WebAssembly and up to eight
+/// elsewhere.
+pub(super) const COLUMNS: usize = if cfg!(target_arch = "wasm32") { 12 } else { 16 };
 
 /// Weights of the colours in a window, by vertical and horizontal distance.
 const BY_DISTANCE: [[u32; WINDOW + 1]; WINDOW + 1] =
@@ -87,12 +88,14 @@ fn around_body(pixels: Pixels, near: &[f32], [x, y]: [usize; 2], farthest: f32, 
         let (words, squares) = (&words[at..][..COLUMNS], &squares[at..][..COLUMNS]);
         for i in 0..COLUMNS {
             let weight = weights[i] & inside[i];
+            let in_front = if near[i] >= middle { weight } else { 0 };
+            let behind = if (most[i] < middle) & (visible[i] > farthest) { weight } else { 0 };
             // two sums in one word: the weights of a column add up to 100, so neither exceeds 16 bits
-            let parts = [words[i] & 0x00ff_00ff, (words[i] >> 8 & 0xff) | (1 << 16), squares[i]].map(|part| part * weight);
-            let (is_front, is_back) = (near[i] >= middle, (most[i] < middle) & (visible[i] > farthest));
+            let parts = [words[i] & 0x00ff_00ff, (words[i] >> 8 & 0xff) | (1 << 16), squares[i]];
+            // no condition in this loop: the compiler would make branches of it, and vectorise nothing
             for k in 0..parts.len() {
-                front[k][i] += if is_front { parts[k] } else { 0 };
-                back[k][i] += if is_back { parts[k] } else { 0 };
+                front[k][i] += parts[k] * in_front;
+                back[k][i] += parts[k] * behind;
             }
         }
     }
