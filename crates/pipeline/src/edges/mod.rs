@@ -2,6 +2,7 @@
 //! pixels are given to one side or the other by colour.
 
 mod kernel;
+mod widen;
 mod window_rows;
 
 use rayon::prelude::*;
@@ -42,11 +43,12 @@ const JOIN: f32 = 0.25;
 /// Rows per task.
 const ROWS: usize = 16;
 
-/// Gives the pixels of ramps to the near or the far side, runs [`full_median`], then joins rim pixels to the near side.
+/// Gives the pixels of ramps to the near or the far side, widens near sides to where a plain background's colours begin, runs
+/// [`full_median`], then joins rim pixels to the near side.
 pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let (level, tables) = (Level::new(), Tables::new());
     let snapped = each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::sides(level, band, &tables, y, lo, hi, out));
-    join_rims(photo, &full_median(photo, &snapped))
+    join_rims(photo, &full_median(photo, &widen::widen(photo, &snapped)))
 }
 
 /// The part of [`snap`] that sharp maps need: runs [`median`], then joins rim pixels to the near side.
@@ -114,11 +116,17 @@ fn each(photo: &Photo, delta: &DisparityMap, radius: usize, f: impl Fn(&Band, us
 /// Smallest and largest value of a `(2r+1)²` window.
 fn extremes(delta: &DisparityMap, radius: usize) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (delta.width as usize, delta.height as usize);
-    // not `f32::min`, whose handling of NaN costs the vector instruction; the map is finite
-    rayon::join(
-        || extreme(&delta.delta, w, h, radius, |a, b| if b < a { b } else { a }),
-        || extreme(&delta.delta, w, h, radius, |a, b| if b > a { b } else { a }),
-    )
+    rayon::join(|| extreme(&delta.delta, w, h, radius, lowest), || extreme(&delta.delta, w, h, radius, highest))
+}
+
+/// The smaller number. Unlike `f32::min`, it is a single vector instruction, because it ignores NaN; the map is finite.
+fn lowest(a: f32, b: f32) -> f32 {
+    if b < a { b } else { a }
+}
+
+/// The larger number, like [`lowest`].
+fn highest(a: f32, b: f32) -> f32 {
+    if b > a { b } else { a }
 }
 
 /// One of the extremes, by rows and then by columns.
