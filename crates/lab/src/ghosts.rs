@@ -13,7 +13,7 @@ use crate::LabError;
 use tmpi_core::{Camera, Geometry, MATTE_BAND, Photo, Pose, Scene, compose, container, texture};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::usage::Clock;
-use tmpi_pipeline::{Models, Options, Silent};
+use tmpi_pipeline::{Models, Options, Silent, Switch};
 use tmpi_render::{Cpu, Renderer};
 
 /// Distance that the camera moves to either side, in units of the nearest distance.
@@ -217,12 +217,27 @@ pub fn with_band(bytes: &[u8], band: usize) -> Result<(Scene, f64), container::C
     Ok((compose(photo, &geometry, tiles), ms))
 }
 
-/// Makes the named photo and measures ghosts at [`MOVE`] to both sides, for each of [`BANDS`].
-pub fn of_photo(models: &Models, name: &str, file: &[u8]) -> Result<[OfBand; BANDS.len()], LabError> {
-    let mut options = Options::default();
-    options.view_box.x = MOVE;
-    let made = tmpi_pipeline::make(models, &Limits::default(), file, None, &options, &Silent)
-        .map_err(|source| LabError::Make { subject: name.into(), source })?;
+/// Ghosts of a photo.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct OfPhoto {
+    /// For each of [`BANDS`].
+    pub bands: [OfBand; BANDS.len()],
+    /// With [`MATTE_BAND`], but without widening what the depth network draws too small.
+    pub not_widened: Ghosts,
+}
+
+/// Makes the named photo and measures ghosts at [`MOVE`] to both sides.
+pub fn of_photo(models: &Models, name: &str, file: &[u8]) -> Result<OfPhoto, LabError> {
+    let made = |snap: Switch| {
+        let mut options = Options { snap, ..Options::default() };
+        options.view_box.x = MOVE;
+        tmpi_pipeline::make(models, &Limits::default(), file, None, &options, &Silent)
+            .map_err(|source| LabError::Make { subject: name.into(), source })
+    };
+    let not_widened = made(Switch::On)?.container;
+    let surface = container::read_geometry(&not_widened)?.surface();
+    let not_widened = of_scene(&Arc::new(with_band(&not_widened, MATTE_BAND)?.0), surface.all())?;
+    let made = made(Switch::Auto)?;
     let surface = container::read_geometry(&made.container)?.surface();
     let mut found = [OfBand { ms: f64::INFINITY, ..OfBand::default() }; BANDS.len()];
     for round in 0..3 {
@@ -234,7 +249,7 @@ pub fn of_photo(models: &Models, name: &str, file: &[u8]) -> Result<[OfBand; BAN
             }
         }
     }
-    Ok(found)
+    Ok(OfPhoto { bands: found, not_widened })
 }
 
 /// Ghosts at [`MOVE`] to both sides.

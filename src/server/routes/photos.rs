@@ -69,7 +69,7 @@ pub struct UploadForm {
     plane_method: Option<String>,
     /// Tile size in pixels, or `full`.
     tile: Option<String>,
-    /// Blurred edges of the depth: `auto` snaps them where there are any.
+    /// Blurred edges of the depth: `auto` snaps them where there are any, and widens what a depth network draws too small.
     snap: Option<String>,
     /// Edges of the network's depth drawn to the photo's.
     refine: Option<String>,

@@ -148,28 +148,14 @@ pub(super) fn blurred(map: &DisparityMap) -> DisparityMap {
 
 /// Box blur over `(2r+1)²` pixels, fewer at borders.
 pub(super) fn box_blurred(map: &DisparityMap, r: usize) -> DisparityMap {
-    by_windows(map, r, |window| window.iter().sum::<f32>() / window.len() as f32)
-}
-
-/// A map in which near things are `r` pixels smaller on each side.
-pub(super) fn shrunk(map: &DisparityMap, r: usize) -> DisparityMap {
-    by_windows(map, r, |window| window.iter().copied().fold(f32::INFINITY, f32::min))
-}
-
-/// Replaces each δ by what `f` makes of the `(2r+1)²` pixels around it, fewer at borders.
-fn by_windows(map: &DisparityMap, r: usize, f: impl Fn(&[f32]) -> f32) -> DisparityMap {
     let (w, h) = (map.width as usize, map.height as usize);
-    let mut window = Vec::new();
-    let mut of = |i: usize| {
+    let mean = |i: usize| {
         let (x, y) = (i % w, i / w);
-        let columns = x.saturating_sub(r)..(x + r + 1).min(w);
-        window.clear();
-        for y in y.saturating_sub(r)..(y + r + 1).min(h) {
-            window.extend_from_slice(&map.delta[y * w..][columns.clone()]);
-        }
-        f(&window)
+        let (rows, columns) = (y.saturating_sub(r)..(y + r + 1).min(h), x.saturating_sub(r)..(x + r + 1).min(w));
+        let n = (rows.len() * columns.len()) as f32;
+        rows.map(|y| map.delta[y * w + columns.start..y * w + columns.end].iter().sum::<f32>()).sum::<f32>() / n
     };
-    DisparityMap { delta: (0..w * h).map(&mut of).collect(), ..*map }
+    DisparityMap { delta: (0..w * h).map(mean).collect(), ..*map }
 }
 
 /// Cleaning methods. `theta`: whether the network Θ is available.

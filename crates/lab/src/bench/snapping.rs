@@ -11,12 +11,11 @@ type Damage = fn(&DisparityMap) -> DisparityMap;
 
 /// One point per scene and kind of damage: the fraction of ramps, and the gain of views by snapping.
 pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
-    let damages: [(&str, Damage); 5] = [
+    let damages: [(&str, Damage); 4] = [
         ("exact disparity", DisparityMap::clone),
         ("halved and enlarged", depth::halved),
         ("blurred by 3×3", |map| experiments::box_blurred(map, 1)),
         ("blurred by 5×5", experiments::blurred),
-        ("things 3 px too small", |map| experiments::shrunk(map, 3)),
     ];
     // no time is shown
     let once = Bench { repeats: 1, ..*bench };
@@ -40,7 +39,7 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, Lab
         id: "ramps".into(),
         title: "Detection of blurred maps".into(),
         about: format!(
-            "Exact maps and maps degraded in four ways, each provided as a file; one point per scene. Above {} % of ramps, tmpi treats a map as blurred and snaps it to the photo's edges; below, it applies only the careful median.",
+            "Exact maps and maps degraded in three ways, each provided as a file; one point per scene. Above {} % of ramps, tmpi treats a map as blurred and snaps it to the photo's edges; below, it applies only the careful median.",
             100.0 * edges::BLURRED
         ),
         x: Axis::new("ramps, % of pixels at edges", false, None),

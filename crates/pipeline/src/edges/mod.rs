@@ -5,6 +5,8 @@ mod kernel;
 mod widen;
 mod window_rows;
 
+pub use self::widen::widen;
+
 use rayon::prelude::*;
 
 use fearless_simd::Level;
@@ -43,12 +45,11 @@ const JOIN: f32 = 0.25;
 /// Rows per task.
 const ROWS: usize = 16;
 
-/// Gives the pixels of ramps to the near or the far side, widens near sides to where a plain background's colours begin, runs
-/// [`full_median`], then joins rim pixels to the near side.
+/// Gives the pixels of ramps to the near or the far side, runs [`full_median`], then joins rim pixels to the near side.
 pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let (level, tables) = (Level::new(), Tables::new());
     let snapped = each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::sides(level, band, &tables, y, lo, hi, out));
-    join_rims(photo, &full_median(photo, &widen::widen(photo, &snapped)))
+    join_rims(photo, &full_median(photo, &snapped))
 }
 
 /// The part of [`snap`] that sharp maps need: runs [`median`], then joins rim pixels to the near side.

@@ -31,7 +31,7 @@ pub fn make(
     let map = stages::remove_noise(&mut job, &prepared.photo, map)?;
     let before_strokes = (!options.strokes.is_empty()).then(|| strokes::to_keep(&map.delta));
     let map = if options.strokes.is_empty() { map } else { stages::apply_strokes(&mut job, &prepared.photo, map)? };
-    let map = stages::snap_ramps(&mut job, &prepared.photo, map)?;
+    let map = stages::snap_and_widen(&mut job, &prepared.photo, map)?;
     let placed = stages::place_planes(&mut job, &prepared, &map)?;
     let layered = stages::make_layers(&mut job, &mut prepared, placed, &map.delta)?;
     let layered = stages::refine_layers(&mut job, layered)?;
