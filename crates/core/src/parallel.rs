@@ -32,7 +32,7 @@ pub fn try_each<T: Send, E: Send>(items: Vec<T>, f: impl Fn(T) -> Result<(), E> 
     return items.into_iter().try_for_each(f);
 }
 
-/// Calls `f` for each piece of so many values, and with its index. The last piece may be shorter.
+/// Calls `f` with the index and the values of each piece of `length` values. The last piece may be shorter.
 pub fn each_piece<T: Send>(values: &mut [T], length: usize, f: impl Fn(usize, &mut [T]) + Send + Sync) {
     #[cfg(feature = "threads")]
     values.par_chunks_mut(length).enumerate().for_each(|(i, piece)| f(i, piece));

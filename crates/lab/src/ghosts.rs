@@ -229,14 +229,14 @@ pub struct OfPhoto {
 /// Makes the named photo and measures ghosts at [`MOVE`] to both sides.
 pub fn of_photo(models: &Models, name: &str, file: &[u8]) -> Result<OfPhoto, LabError> {
     let made = |snap: Switch| {
-        let mut options = Options { snap, ..Options::default() };
+        let mut options = Options { snap, photo_depth: Switch::Off, ..Options::default() };
         options.view_box.x = MOVE;
         tmpi_pipeline::make(models, &Limits::default(), file, None, &options, &Silent)
             .map_err(|source| LabError::Make { subject: name.into(), source })
     };
     let not_widened = made(Switch::On)?.container;
     let surface = container::read_geometry(&not_widened)?.surface();
-    let not_widened = of_scene(&Arc::new(with_band(&not_widened, MATTE_BAND)?.0), surface.all())?;
+    let not_widened = of_scene(&Arc::new(container::decode(&not_widened)?), surface.all())?;
     let made = made(Switch::Auto)?;
     let surface = container::read_geometry(&made.container)?.surface();
     let mut found = [OfBand { ms: f64::INFINITY, ..OfBand::default() }; BANDS.len()];

@@ -54,10 +54,10 @@ pub(super) fn run(args: &GhostArgs) -> anyhow::Result<()> {
     let line = |name: String, of: Ghosts, ms: Option<f64>| {
         let figures = [100.0 * of.share(), 100.0 * of.outline_share(), of.mean()].map(|figure| format!("{figure:.1}"));
         let ms = ms.map_or_else(String::new, |ms| format!("{:.1}", ms / rows.len().max(1) as f64));
-        [vec![name], figures.to_vec(), vec![ms]].concat()
+        [vec![name, of.places.to_string()], figures.to_vec(), vec![ms]].concat()
     };
     let bands = BANDS.into_iter().zip(all.bands).map(|(band, of)| line(band.to_string(), of.ghosts, Some(of.ms)));
     let not_widened = line(format!("{MATTE_BAND}, not widened"), all.not_widened, None);
-    let head = ["band, px", "seen, %", "outlines of any colour, %", "residue, levels", "layers, ms"];
+    let head = ["band, px", "places", "seen, %", "outlines of any colour, %", "residue, levels", "layers, ms"];
     result(format!("{photos}\n{}", table(0, &head, bands.chain([not_widened]))).trim_end())
 }

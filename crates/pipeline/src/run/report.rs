@@ -146,7 +146,7 @@ pub struct ErrorFigures {
     pub resampling: Option<ParallaxShift>,
     /// Shift by denoising the disparity map.
     pub denoise: Option<ParallaxShift>,
-    /// Shift by snapping the ramps of the disparity map to the photo's edges.
+    /// Shift by snapping the ramps of the disparity map to the photo's edges, and by widening what a depth network draws too small.
     pub snap: Option<ParallaxShift>,
     /// Mean absolute disparity error of the planes against the map that they were fitted to.
     pub depth_mae: f64,

@@ -5,9 +5,10 @@ use std::sync::Arc;
 use super::*;
 use crate::depth::to_png;
 use crate::photo::Limits;
+use image::ExtendedColorType;
 use tmpi_core::{Photo, container};
 use tmpi_render::{difference::psnr, draw_reference_view};
-use tmpi_testing::pictures::{noise, waves as photo};
+use tmpi_testing::pictures::{noise, png, waves as photo};
 
 fn made(photo: &[u8], depth: &DisparityMap, options: &Options) -> Made {
     // all photos here come with a depth map
@@ -90,4 +91,25 @@ fn a_budget_never_increases_planes_size_or_bytes() {
         let bound = make(Some(1.0)).error.planes.bound_px.unwrap();
         assert_eq!(bound > Options::MAX_ERROR, share > 0.0, "{share}: {bound}");
     }
+}
+
+#[test]
+fn only_what_a_network_draws_too_small_is_widened() {
+    let (w, h) = (96, 64);
+    let out = |x: u32, y: u32| (x as f32 - 48.0).hypot(y as f32 - 32.0) - 20.0;
+    let pixels: Vec<u8> = (0..w * h).flat_map(|i| if out(i % w, i / w) < 0.0 { [200, 40, 40] } else { [110; 3] }).collect();
+    let file = png(w, h, &pixels, ExtendedColorType::Rgb8);
+    let small = DisparityMap::from_fn(w, h, |x, y| if out(x, y) < -3.0 { 0.8 } else { 0.2 });
+    let network = small.clone();
+    let models = Models { depth: Arc::new(("small", move |_: &Photo| Ok(network.clone()))), theta: None, psi: None };
+    let near = |depth: Option<&[u8]>, snap: Switch| {
+        let options = Options { denoise: Denoise::Off, snap, ..Options::default() };
+        let made = make(&models, &Limits::default(), &file, depth, &options, &Silent).unwrap();
+        made.disparity.delta.iter().filter(|d| **d > 0.5).count()
+    };
+    let thing = (0..w * h).filter(|i| out(i % w, i / w) < 0.0).count();
+    let given = to_png(&small).unwrap();
+    assert!(near(None, Switch::Auto).abs_diff(thing) < 30, "{} of {thing} pixels", near(None, Switch::Auto));
+    assert!(near(None, Switch::On) + 150 < thing, "{} of {thing} pixels", near(None, Switch::On));
+    assert_eq!(near(Some(&given), Switch::Auto), near(Some(&given), Switch::Off));
 }

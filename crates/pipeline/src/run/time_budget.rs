@@ -17,7 +17,7 @@ pub struct Costs {
     pub before: f64,
     /// Per photo, for the depth network, which runs at its own size.
     pub depth: f64,
-    /// Per megapixel, in addition if depth is estimated: upsampling, and snapping of blurred edges.
+    /// Per megapixel, in addition if depth is estimated: upsampling, snapping of blurred edges, and widening.
     pub depth_megapixel: f64,
     /// Per megapixel, for planes and all later stages of a photo without busy tiles; the same at any parallax error.
     pub plain: f64,

@@ -230,7 +230,8 @@ pub(crate) fn apply_strokes(context: &mut Context, photo: &Photo, mut map: Weigh
     Ok(map)
 }
 
-/// Stage that snaps the ramps of blurred maps to the photo's edges.
+/// Stage that snaps the ramps of blurred maps to the photo's edges. Rooms snap parts of a frame, which widening could not see the whole
+/// reach of.
 ///
 /// # Errors
 /// [`MakeError`] if there is no time left.
