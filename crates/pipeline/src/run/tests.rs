@@ -111,5 +111,6 @@ fn only_what_a_network_draws_too_small_is_widened() {
     let given = to_png(&small).unwrap();
     assert!(near(None, Switch::Auto).abs_diff(thing) < 30, "{} of {thing} pixels", near(None, Switch::Auto));
     assert!(near(None, Switch::On) + 150 < thing, "{} of {thing} pixels", near(None, Switch::On));
-    assert_eq!(near(Some(&given), Switch::Auto), near(Some(&given), Switch::Off));
+    // of a given map only the pixels of the rim that touch it join
+    assert!(near(Some(&given), Switch::Auto) + 150 < thing, "{} of {thing} pixels", near(Some(&given), Switch::Auto));
 }
