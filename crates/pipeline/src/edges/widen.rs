@@ -20,7 +20,7 @@ const SAMPLES: usize = (WINDOW + 1).pow(2);
 /// Fewest pixels that tell the background's colours.
 const FEWEST: u32 = 4;
 /// Distance between two colours, in levels, up to which they are alike.
-const FOREIGN: u32 = 16;
+const FOREIGN: u32 = 8;
 /// Square of the same distance before a rough background, in variances of its colours.
 const ROUGH: u32 = 4;
 /// A colour is like those of a side if it is so to more than one in this many of its pixels.
