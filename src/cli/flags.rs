@@ -21,7 +21,8 @@ pub(super) struct DepthFlags {
     /// How to denoise the depth map
     #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
     pub denoise: Denoise,
-    /// Snap blurred depth edges to colour edges; auto: only where depth is blurred, and also widen what a depth network draws too small
+    /// Snap blurred depth edges to colour edges; auto: where depth is blurred, and things that a depth network draws too small grow; on:
+    /// snap always, nothing grows
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub snap: Switch,
     /// Longest side in pixels; larger photos are scaled down

@@ -234,9 +234,9 @@ pub fn of_photo(models: &Models, name: &str, file: &[u8]) -> Result<OfPhoto, Lab
         tmpi_pipeline::make(models, &Limits::default(), file, None, &options, &Silent)
             .map_err(|source| LabError::Make { subject: name.into(), source })
     };
-    let not_widened = made(Switch::On)?.container;
-    let surface = container::read_geometry(&not_widened)?.surface();
-    let not_widened = of_scene(&Arc::new(container::decode(&not_widened)?), surface.all())?;
+    // `On` snaps without widening
+    let snapped = made(Switch::On)?.container;
+    let not_widened = of_scene(&Arc::new(container::decode(&snapped)?), container::read_geometry(&snapped)?.surface().all())?;
     let made = made(Switch::Auto)?;
     let surface = container::read_geometry(&made.container)?.surface();
     let mut found = [OfBand { ms: f64::INFINITY, ..OfBand::default() }; BANDS.len()];

@@ -69,7 +69,8 @@ pub struct UploadForm {
     plane_method: Option<String>,
     /// Tile size in pixels, or `full`.
     tile: Option<String>,
-    /// Blurred edges of the depth: `auto` snaps them where there are any, and widens what a depth network draws too small.
+    /// Blurred edges of the depth: `auto` snaps them where there are any, and widens what a depth network draws too small; `on` always
+    /// snaps, and widens nothing.
     snap: Option<String>,
     /// Edges of the network's depth drawn to the photo's.
     refine: Option<String>,

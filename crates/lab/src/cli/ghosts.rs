@@ -10,8 +10,8 @@ use tmpi_core::MATTE_BAND;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
-/// Measure the outlines of things that stay on the background when the view moves, by the width of the band of mattes, and without widening
-/// what the depth network draws too small
+/// Measure the outlines of things that stay on the background when the view moves, for several widths of the band of mattes; and, for the
+/// default width, if things that the depth network draws too small are not widened
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct GhostArgs {
     /// Photos; none: those of `crates/lab/lists/ghosts.txt` below the folder that `TMPI_DATA` names

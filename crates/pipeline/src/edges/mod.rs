@@ -120,7 +120,7 @@ fn extremes(delta: &DisparityMap, radius: usize) -> (Vec<f32>, Vec<f32>) {
     rayon::join(|| extreme(&delta.delta, w, h, radius, lowest), || extreme(&delta.delta, w, h, radius, highest))
 }
 
-/// The smaller number. Unlike `f32::min`, it is a single vector instruction, because it ignores NaN; the map is finite.
+/// The smaller number. It is a single vector instruction, unlike `f32::min`, which must ignore NaN; the map is finite.
 fn lowest(a: f32, b: f32) -> f32 {
     if b < a { b } else { a }
 }

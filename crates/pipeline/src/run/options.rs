@@ -77,7 +77,7 @@ pub struct Options {
     pub plane_method: PlaneMethod,
     /// Tile size, 8 to 1024 pixels or one tile.
     pub tile: TileSize,
-    /// Whether to snap depth ramps to colour edges. Auto also widens what a depth network draws too small.
+    /// Whether to snap depth ramps to colour edges. Auto also widens what a depth network draws too small; on does not.
     pub snap: Switch,
     /// Whether to refine layers with Ψ; on: needs the file of Ψ.
     pub refine: Switch,

@@ -110,7 +110,7 @@ fn only_what_a_network_draws_too_small_is_widened() {
     let thing = (0..w * h).filter(|i| out(i % w, i / w) < 0.0).count();
     let given = to_png(&small).unwrap();
     assert!(near(None, Switch::Auto).abs_diff(thing) < 30, "{} of {thing} pixels", near(None, Switch::Auto));
+    // snapping, too, gives the pixels that touch the near side to it, but none farther out
     assert!(near(None, Switch::On) + 150 < thing, "{} of {thing} pixels", near(None, Switch::On));
-    // of a given map only the pixels of the rim that touch it join
     assert!(near(Some(&given), Switch::Auto) + 150 < thing, "{} of {thing} pixels", near(Some(&given), Switch::Auto));
 }

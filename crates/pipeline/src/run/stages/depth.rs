@@ -1,4 +1,5 @@
-//! Stages of the disparity map: estimates or reads it, denoises it, applies strokes, and snaps its ramps to the photo's edges.
+//! Stages of the disparity map: estimates or reads it, denoises it, applies strokes, snaps its ramps to the photo's edges, and widens what
+//! a network draws too small.
 
 use tmpi_core::{DisparityMap, Photo};
 
@@ -230,8 +231,8 @@ pub(crate) fn apply_strokes(context: &mut Context, photo: &Photo, mut map: Weigh
     Ok(map)
 }
 
-/// Stage that snaps the ramps of blurred maps to the photo's edges. Rooms snap parts of a frame, which widening could not see the whole
-/// reach of.
+/// Stage that snaps the ramps of blurred maps to the photo's edges. Rooms use it without widening: they snap only a part of a frame, and
+/// widening looks farther than the margin of such a part.
 ///
 /// # Errors
 /// [`MakeError`] if there is no time left.
