@@ -36,28 +36,33 @@ impl Case {
     }
 }
 
-/// Reads all scenes below a folder, sorted by name:
+/// Reads the scene in a folder, and those in the folders in it, sorted by name:
 ///
 /// - Scenes that `tmpi-lab synth --views N` wrote.
 /// - Rectified stereo pairs: `left.png`, `right.png`, `disp_left.png` and `meta.json` with `scale`. A value of `disp_left.png` divided by
 ///   `scale` is in pixels; 0 is unknown.
-/// - Whatever [`public_datasets::of`] reads, also in the folder itself.
+/// - Whatever [`public_datasets::of`] reads.
 pub(super) fn read(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, LabError> {
-    let mut cases = public_datasets::of(folder, depth)?;
+    let mut cases = of(folder, depth)?;
     for f in files::entries(folder)?.iter().filter(|f| f.is_dir()) {
-        if f.join("scene.json").exists() {
-            cases.push(rendered(f)?);
-        } else if f.join("disp_left.png").exists() {
-            cases.push(pair(f)?);
-        } else {
-            cases.extend(public_datasets::of(f, depth)?);
-        }
+        cases.extend(of(f, depth)?);
     }
     if cases.is_empty() {
         let reason = "neither it nor a folder below it holds a scene of `tmpi-lab synth`, a stereo pair, a light field or a sequence";
         return Err(LabError::file(folder, reason));
     }
     Ok(cases)
+}
+
+/// Scenes whose files lie in the folder itself.
+fn of(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, LabError> {
+    if folder.join("scene.json").exists() {
+        Ok(vec![rendered(folder)?])
+    } else if folder.join("disp_left.png").exists() {
+        Ok(vec![pair(folder)?])
+    } else {
+        public_datasets::of(folder, depth)
+    }
 }
 
 #[derive(Deserialize)]
@@ -179,13 +184,14 @@ mod tests {
         std::fs::write(scene.join("meta.json"), r#"{"scale": 20}"#).unwrap();
         // depth of this pair is not measured
         let none = oracle_depth::none().depth;
-        let cases = read(folder.path(), none.as_ref()).unwrap();
-        assert_eq!(cases.len(), 1);
+        let [cases, own] = [folder.path(), &scene].map(|from| read(from, none.as_ref()).unwrap());
+        assert_eq!((cases.len(), own.len()), (1, 1));
         assert!(cases[0].truth.delta.iter().all(|d| (*d - 1.0).abs() < 1e-6));
         // two pixels of shift for the nearest
         let camera = &cases[0].views[0].camera;
         assert!((camera.pose.tx * camera.intrinsics.fx - 2.0).abs() < 1e-12);
         assert_eq!(cases[0].views[0].rgb[9], [1, 1, 7]);
-        assert!(read(&scene, none.as_ref()).is_err_and(|e| e.to_string().contains("stereo pair")));
+        let empty = tempfile::tempdir().unwrap();
+        assert!(read(empty.path(), none.as_ref()).is_err_and(|e| e.to_string().contains("stereo pair")));
     }
 }

@@ -237,7 +237,7 @@ pub(crate) fn apply_strokes(context: &mut Context, photo: &Photo, mut map: Weigh
 /// # Errors
 /// [`MakeError`] if there is no time left.
 pub fn snap_ramps(context: &mut Context, photo: &Photo, map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
-    snap(context, photo, map, Outlines::Kept)
+    snap(context, photo, map, false)
 }
 
 /// [`snap_ramps`], which also widens things in a network's map that are too small, unless [`Switch::On`] asks for snapping alone.
@@ -246,23 +246,17 @@ pub fn snap_ramps(context: &mut Context, photo: &Photo, map: WeightedDisparity) 
 /// [`MakeError`] if there is no time left.
 pub fn snap_and_widen(context: &mut Context, photo: &Photo, map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
     let widens = !map.given && context.options.snap == Switch::Auto;
-    snap(context, photo, map, if widens { Outlines::Widened } else { Outlines::Kept })
+    snap(context, photo, map, widens)
 }
 
-#[derive(Clone, Copy, PartialEq)]
-enum Outlines {
-    Kept,
-    Widened,
-}
-
-fn snap(context: &mut Context, photo: &Photo, mut map: WeightedDisparity, outlines: Outlines) -> Result<WeightedDisparity, MakeError> {
+fn snap(context: &mut Context, photo: &Photo, mut map: WeightedDisparity, widens: bool) -> Result<WeightedDisparity, MakeError> {
     let stage = context.begin("snap")?;
     let switch = context.options.snap;
     if switch != Switch::Off {
         // snapping sharp depth costs quality, and a given map may be sharp or blurred
         let blurred = !map.given || switch == Switch::On || edges::ramp_share(&map.delta) > edges::BLURRED;
         let mut snapped = if blurred { edges::snap(photo, &map.delta) } else { edges::clean(photo, &map.delta) };
-        if outlines == Outlines::Widened {
+        if widens {
             snapped = edges::widen(photo, &snapped);
         }
         let movement = context.movement.filter(|_| snapped != map.delta);
