@@ -264,6 +264,12 @@ fn address(text: &str) -> Result<SocketAddr, String> {
     }
 }
 
+/// Whether an argument is an address with a password.
+fn has_password(argument: &str) -> bool {
+    let authority = argument.split_once("://").and_then(|(_, rest)| rest.split(['/', '?', '#']).next());
+    authority.and_then(|authority| authority.rsplit_once('@')).is_some_and(|(user, _)| user.contains(':'))
+}
+
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let makes_for_another = std::env::var_os(VARIABLE).is_some();
@@ -279,6 +285,9 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         return Ok(());
     }
     disable_process_inspection();
+    if std::env::args().any(|argument| has_password(&argument)) {
+        tracing::warn!("a password on the command line is visible to all users of this machine: set it in the environment or in tmpi.toml");
+    }
     let (rooms, presets) = (args.rooms(&models, limits.live)?, args.presets(&limits)?);
     use_one_malloc_arena();
     if let Err(error) = tmpi_pipeline::networks::available() {

@@ -9,17 +9,17 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
-use futures_util::{Stream, StreamExt as _, stream};
+use futures_util::{Stream, StreamExt as _, TryStreamExt as _, stream};
 use tokio::sync::watch;
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
 
 use super::Grant;
 use super::gop_store::{Group, GroupPart};
 use super::origin_client::Nodes;
-use super::request_access::{RoomAccess, RoomsContext, none_publishes};
+use super::request_access::{ENDED, RoomAccess, RoomsContext, ended, none_publishes};
 use super::room::Room;
-use crate::server::{ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
+use crate::server::{ANSWERS, ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 use tmpi_library::Origin;
 
@@ -98,6 +98,8 @@ pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, 
     let (epoch, frame) = room.newest_frame().ok_or_else(|| Problem::not_found("no frame is ready yet"))?;
     let (number, container) = (frame.tiles.frame, frame.container().await?);
     let etag = format!("\"{epoch}-{number}\"");
+    // a copy, whose memory counts as long as the client reads it; the room's own is shared
+    let container = Bytes::copy_from_slice(&container);
     let entity =
         Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: ContentCoding::Plain };
     let mut response = respond(&headers, entity);
@@ -153,14 +155,30 @@ pub async fn group(
     let told = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable")), (header::CONTENT_TYPE, MESSAGES.to_owned())];
     let room = match find(&here, &name, access).await? {
         Place::Here(room) => room,
-        Place::There(nodes, origin) => return nodes.group(origin, name, group).await.map(|body| (told, body).into_response()),
+        Place::There(nodes, origin) => {
+            let messages = nodes.group(origin, name, group).await?.into_data_stream().map_err(std::io::Error::other);
+            return Ok((told, Body::from_stream(until(messages, access.ends()))).into_response());
+        }
     };
     let mut pieces = Pieces::new(room, group);
     // a client that has read the last group may request the next one before it begins
     let first = timeout(NEXT_GROUP, pieces.next()).await.map_err(|_| none().retry_after(1))?;
     let Some(first) = first else { return Err(none().retry_after(1)) };
     let messages = stream::once(async { Ok(first) }).chain(rest(pieces, held, here.stop));
-    Ok((told, Body::from_stream(messages)).into_response())
+    Ok((told, Body::from_stream(until(messages, access.ends()))).into_response())
+}
+
+/// A stream that breaks off when its reader's token ends.
+fn until<S>(messages: S, ends: Option<Instant>) -> impl Stream<Item = std::io::Result<Bytes>>
+where
+    S: Stream<Item = std::io::Result<Bytes>>,
+{
+    stream::try_unfold(Box::pin(messages), move |mut messages| async move {
+        tokio::select! {
+            next = messages.try_next() => Ok(next?.map(|message| (ANSWERS.count(message), messages))),
+            () = ended(ends) => Err(std::io::Error::other(ENDED)),
+        }
+    })
 }
 
 /// The further messages of a group, as they come; holds the connection until the end.

@@ -52,6 +52,16 @@ pub(super) enum RoomAccess {
     Node,
 }
 
+impl RoomAccess {
+    /// When it ends. Other nodes have their access for as long as they read, because they check their own viewers.
+    pub fn ends(self) -> Option<Instant> {
+        match self {
+            Self::Until(ends) => ends,
+            Self::Node => None,
+        }
+    }
+}
+
 /// The instant at which a token ends; `None` if it is too far in the future.
 fn deadline(ends: u64) -> Option<Instant> {
     Instant::now().checked_add(Duration::from_secs(ends.saturating_sub(since_1970().as_secs())))

@@ -23,6 +23,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
+use super::answer_memory::ANSWERS;
 use super::base_path::BasePath;
 use super::client_slots::{ClientSlot, ClientSlots};
 use super::http2_streams::{PIECE, StreamHealth, Streams, TrackedBody};
@@ -41,6 +42,8 @@ const WINDOWS: (u32, u32) = (256 << 10, 1 << 20);
 const PING: (Duration, Duration) = (Duration::from_secs(30), Duration::from_secs(20));
 /// Interval of the checks of a connection's streams.
 const LOOK: Duration = Duration::from_secs(1);
+/// How much faster clients of HTTP/2 must read while memory is short.
+const FASTER: u32 = 8;
 
 /// Where connections arrive.
 pub struct Endpoint {
@@ -64,7 +67,7 @@ impl Http {
         one.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
         two.timer(TokioTimer::new()).max_header_list_size(Limits::HEADER_BYTES as u32).max_concurrent_streams(limits.streams_at_once);
         two.initial_stream_window_size(WINDOWS.0).initial_connection_window_size(WINDOWS.1);
-        // a stream whose client does not read holds one piece
+        // a stream whose client does not read holds two pieces, one of them in this buffer
         two.max_send_buf_size(PIECE);
         two.keep_alive_interval(PING.0).keep_alive_timeout(PING.1);
         Self { one, two }
@@ -164,8 +167,8 @@ impl Connection {
     /// Serves HTTP/2, only over TLS.
     async fn two<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S) {
         let streams = Streams::new();
-        let inner = TowerToHyperService::new(self.router);
-        let (from, held, opened, base) = (self.from, self.held, Arc::clone(&streams), self.base);
+        let inner = TowerToHyperService::new(self.router.clone());
+        let (from, held, opened, base) = (self.from, self.held.clone(), Arc::clone(&streams), self.base.clone());
         let service = service_fn(move |mut request: Request<Incoming>| {
             base.strip(request.uri_mut());
             let open = opened.open();
@@ -174,7 +177,7 @@ impl Connection {
             request.extensions_mut().insert(Secure);
             name_host(&mut request);
             let answer = inner.call(request);
-            async move { answer.await.map(|response| response.map(|body| TrackedBody::new(body, open))) }
+            async move { answer.await.map(|response| response.map(|body| TrackedBody::new(body, open, &ANSWERS))) }
         });
         let mut connection = pin!(self.http.two.serve_connection(TokioIo::new(stream), service));
         let mut look = tokio::time::interval(LOOK);
@@ -189,7 +192,7 @@ impl Connection {
                     leaving = Some(Instant::now());
                     connection.as_mut().graceful_shutdown();
                 }
-                _ = look.tick() => match (streams.check(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
+                _ = look.tick() => match (self.health(&streams), leaving) {
                     (StreamHealth::Idle, None) => {
                         leaving = Some(Instant::now());
                         connection.as_mut().graceful_shutdown();
@@ -206,6 +209,13 @@ impl Connection {
         if let Err(error) = ended {
             tracing::debug!(%error, "connection");
         }
+    }
+
+    /// Verdict on a connection of HTTP/2, whose client must read faster while memory is short.
+    fn health(&self, streams: &Streams) -> StreamHealth {
+        let faster = if ANSWERS.is_short() { FASTER } else { 1 };
+        let Limits { write, write_rate, header_read, .. } = *self.limits;
+        streams.check(std::time::Instant::now(), write / faster, write_rate.saturating_mul(faster.into()), header_read)
     }
 }
 

@@ -4,9 +4,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use bytes::Bytes;
 
-/// Pieces of files that are being sent, on all connections together: 16 MiB. Beyond it, a request of HTTP/2 holds two pieces of [`LEAST`], and
-/// a connection of HTTP/1, whose transport queues more of them, 16. Each piece of an object store is a request of its own, so it has 64 KiB.
-pub static PIECES: AnswerMemory = AnswerMemory::new(16 << 20);
+/// What is being sent, on all connections together: pieces of files, and whole answers of HTTP/2 that were made for one client. Beyond 16 MiB, a
+/// file of HTTP/2 holds two pieces of [`LEAST`], and one of HTTP/1, whose transport queues more of them, 16. Each piece of an object store
+/// is a request of its own, so it has 64 KiB.
+pub static ANSWERS: AnswerMemory = AnswerMemory::new(16 << 20);
+
+/// Memory is short if answers hold this many times their bound: then clients of HTTP/2 that do not read are disconnected sooner.
+const SHORT: usize = 4;
 
 /// Whole files in memory: those of caches, and those that clients still read after they have left the caches. Further ones are read from disk
 /// while they are sent.
@@ -61,6 +65,11 @@ impl AnswerMemory {
         self.held.load(Ordering::Relaxed)
     }
 
+    /// Whether answers hold far more than their bound.
+    pub fn is_short(&self) -> bool {
+        self.held() > self.most.load(Ordering::Relaxed).saturating_mul(SHORT)
+    }
+
     /// Memory for a piece of up to `wanted` bytes; fewer if little is left, but at least `least`.
     pub fn take(&'static self, wanted: usize, least: usize) -> Share {
         let mut bytes = wanted;
@@ -71,6 +80,11 @@ impl AnswerMemory {
             }
             bytes = (bytes / 2).max(least);
         }
+    }
+
+    /// The same bytes with their share, whatever is left.
+    pub fn count(&'static self, bytes: Bytes) -> Bytes {
+        Share::new(self, bytes.len()).attach(bytes)
     }
 
     /// The same bytes with their share; `None` if too little is left.
@@ -111,6 +125,10 @@ mod tests {
         let least: Vec<Share> = (0..9).map(|_| MEMORY.take(1 << 20, LEAST)).collect();
         assert!(least.iter().all(|share| share.bytes == LEAST));
         assert_eq!(MEMORY.take(9, LEAST).bytes, 9);
+        assert!(!MEMORY.is_short());
+        let large = MEMORY.count(Bytes::from(vec![7; 300 << 10]));
+        assert!(large.len() == 300 << 10 && MEMORY.is_short());
+        drop(large);
         assert_eq!(MEMORY.held(), (96 << 10) + 9 * LEAST);
         let mut sent = first.attach(Bytes::from(vec![7; 64 << 10]));
         let rest = sent.split_off(9);

@@ -10,15 +10,16 @@ use bytes::Bytes;
 use futures_util::stream;
 use tmpi_library::{Blob, BlobStore};
 
-use super::answer_memory::{AnswerMemory, LEAST, PIECES};
+use super::answer_memory::{ANSWERS, AnswerMemory, LEAST};
 
-/// Bytes to read first. Each piece is twice as large as the one before, so that a client holds memory only in proportion to what it has read.
-const FIRST_PIECE: usize = 64 << 10;
+/// Most bytes of a file to read at a time. The transport asks for a piece ahead, so a client that does not read holds two.
+const PIECE: usize = 32 << 10;
 
-/// Most bytes of a file to read at a time, so that a slow client holds no more of it in memory.
-const PIECE: usize = 256 << 10;
+/// Bytes of an object to read first. Object stores have a high latency, so each piece is twice as large as the one before. A client holds
+/// memory only in proportion to what it has read.
+const FIRST_OBJECT_PIECE: usize = 64 << 10;
 
-/// The same for an object store, which has a higher latency.
+/// Most bytes of an object to read at a time.
 const OBJECT_PIECE: usize = 1 << 20;
 
 /// Bytes of an answer.
@@ -56,18 +57,18 @@ impl Source {
     }
 
     pub fn body(self, range: Range<usize>) -> Body {
-        self.body_within(range, &PIECES)
+        self.body_within(range, &ANSWERS)
     }
 
     /// The same, with the pieces of a file within `memory`.
     fn body_within(self, range: Range<usize>, memory: &'static AnswerMemory) -> Body {
         // each piece of an object is a request
-        let (least, most) = match &self {
+        let (least, first, most) = match &self {
             Self::Memory(bytes) => return Body::from(bytes.slice(range)),
-            Self::File(..) => (LEAST, PIECE),
-            Self::Object(..) => (FIRST_PIECE, OBJECT_PIECE),
+            Self::File(..) => (LEAST, PIECE, PIECE),
+            Self::Object(..) => (FIRST_OBJECT_PIECE, FIRST_OBJECT_PIECE, OBJECT_PIECE),
         };
-        let pieces = stream::try_unfold((self, range, FIRST_PIECE), move |(source, left, length)| async move {
+        let pieces = stream::try_unfold((self, range, first), move |(source, left, length)| async move {
             if left.is_empty() {
                 return Ok::<_, io::Error>(None);
             }
@@ -127,7 +128,7 @@ mod tests {
         while let Some(frame) = body.frame().await {
             lengths.push(frame.unwrap().into_data().unwrap().len());
         }
-        assert_eq!(lengths, [FIRST_PIECE, 2 * FIRST_PIECE, PIECE, PIECE, PIECE / 4 + 77]);
+        assert_eq!(lengths, [PIECE, PIECE, PIECE, 77]);
         let send = async |length, range| {
             Source::File(Arc::clone(&file), length).body(range).collect().await.map(http_body_util::Collected::to_bytes)
         };

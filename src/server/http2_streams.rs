@@ -10,6 +10,8 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use hyper::body::{Body, Frame, SizeHint};
 
+use super::answer_memory::AnswerMemory;
+
 /// Requests of a connection.
 #[derive(Debug)]
 pub struct Streams(Mutex<State>);
@@ -92,23 +94,27 @@ impl Drop for OpenStream {
 }
 
 /// Most bytes of a body to hand over at a time. The transport requests a piece ahead, and buffers what a client does not read.
-pub const PIECE: usize = 64 << 10;
+pub const PIECE: usize = 32 << 10;
 
-/// A response body that tracks its client.
+/// A response body that tracks its client, and the memory of an answer that was made for this client alone.
 #[derive(Debug)]
 pub struct TrackedBody<B> {
     body: B,
     open: OpenStream,
+    memory: &'static AnswerMemory,
+    /// The body is in memory as a whole. One that is read piece by piece has counted its pieces.
+    whole: bool,
     /// The rest of a piece that was too large.
     left: Bytes,
     /// Whether a piece was handed over.
     begun: bool,
 }
 
-impl<B> TrackedBody<B> {
+impl<B: Body> TrackedBody<B> {
     /// Wraps the body of the response to a request.
-    pub const fn new(body: B, open: OpenStream) -> Self {
-        Self { body, open, left: Bytes::new(), begun: false }
+    pub fn new(body: B, open: OpenStream, memory: &'static AnswerMemory) -> Self {
+        let whole = body.size_hint().exact().is_some();
+        Self { body, open, memory, whole, left: Bytes::new(), begun: false }
     }
 }
 
@@ -124,6 +130,10 @@ impl<B: Body<Data = Bytes> + Unpin> Body for TrackedBody<B> {
         };
         let polled = whole.map_ok(|frame| {
             frame.map_data(|mut data| {
+                // caches count the bytes that they share
+                if self.whole && !self.begun && data.is_unique() {
+                    data = self.memory.count(data);
+                }
                 self.left = data.split_off(data.len().min(PIECE));
                 data
             })
@@ -164,6 +174,7 @@ mod tests {
 
     const LIMIT: Duration = Duration::from_secs(30);
     const IDLE: Duration = Duration::from_secs(10);
+    static MEMORY: AnswerMemory = AnswerMemory::new(0);
 
     #[tokio::test]
     async fn only_clients_that_do_not_read_are_stalled() {
@@ -172,7 +183,7 @@ mod tests {
         let open = streams.open();
         assert_eq!(look(1000), StreamHealth::Fine, "the answer is not there yet");
         let pieces = stream::iter([Ok::<_, std::convert::Infallible>(Bytes::from(vec![0; 5000])), Ok(Bytes::new())]);
-        let mut body = TrackedBody::new(Whole::from_stream(pieces), open);
+        let mut body = TrackedBody::new(Whole::from_stream(pieces), open, &MEMORY);
         body.frame().await.unwrap().unwrap();
         assert_eq!(look(34), StreamHealth::Fine, "5 seconds at the least rate come on top");
         assert_eq!(look(40), StreamHealth::Stalled);
@@ -189,7 +200,7 @@ mod tests {
     #[tokio::test]
     async fn large_pieces_are_split_without_loss() {
         let all: Vec<u8> = (0..3 * PIECE + 5).map(|i| (i % 251) as u8).collect();
-        let mut body = TrackedBody::new(Whole::from(all.clone()), Streams::new().open());
+        let mut body = TrackedBody::new(Whole::from(all.clone()), Streams::new().open(), &MEMORY);
         let mut came = Vec::new();
         assert!(!body.is_end_stream());
         while let Some(frame) = body.frame().await {
@@ -199,6 +210,25 @@ mod tests {
             assert_eq!(body.size_hint().exact(), Some((all.len() - came.len()) as u64));
         }
         assert_eq!(came, all);
-        assert!(TrackedBody::new(Whole::empty(), Streams::new().open()).is_end_stream());
+        assert!(TrackedBody::new(Whole::empty(), Streams::new().open(), &MEMORY).is_end_stream());
+    }
+
+    #[tokio::test]
+    async fn only_answers_made_for_one_client_count() {
+        static COUNTED: AnswerMemory = AnswerMemory::new(0);
+        let body = |whole: Whole| TrackedBody::new(whole, Streams::new().open(), &COUNTED);
+        let mut own = body(Whole::from(vec![7; PIECE + 5]));
+        let first = own.frame().await.unwrap().unwrap();
+        assert_eq!(COUNTED.held(), PIECE + 5);
+        drop((first, own));
+        assert_eq!(COUNTED.held(), 0);
+        let cached = Bytes::from(vec![7; PIECE + 5]);
+        for uncounted in
+            [Whole::from(cached.clone()), Whole::from_stream(stream::iter([Ok::<_, std::convert::Infallible>(cached.slice(9..))]))]
+        {
+            let mut body = body(uncounted);
+            let _first = body.frame().await.unwrap().unwrap();
+            assert_eq!(COUNTED.held(), 0);
+        }
     }
 }

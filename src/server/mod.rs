@@ -74,6 +74,7 @@ use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
 pub use accept_loop::ConnectionGuard;
+pub(crate) use answer_memory::ANSWERS;
 pub use base_path::BasePath;
 pub(crate) use better_network::{BetterNetwork, identity};
 pub use child::{ProcessMaker, VARIABLE, disable_process_inspection, serve as run_child};

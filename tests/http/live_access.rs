@@ -1,5 +1,7 @@
 //! Tokens of rooms, and pages of other sites.
 
+use std::io::Read as _;
+
 use tmpi::live::Grant::{Publish, Watch};
 use tmpi::live::room_token;
 use tmpi_core::live::schema::message::Kind;
@@ -49,6 +51,29 @@ fn a_socket_closes_when_its_token_expires() {
         assert_eq!(client.bye(), "the token has expired");
     }
     assert_eq!(come("subscribe", Watch).err(), Some(403));
+}
+
+#[test]
+fn a_group_of_pictures_breaks_off_when_its_token_expires() {
+    let server = server();
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(10));
+    let token = |ends| room_token(KEY, Watch, "attic", ends);
+    let mut newest = None;
+    wait_until("a group has begun", || {
+        newest = client::get(server.addr, &format!("/v1/live/attic/gops/latest?token={}", token(u64::MAX)))
+            .header("location")
+            .map(str::to_owned);
+        newest.is_some()
+    });
+    let group = newest.unwrap();
+    let group = group.split('?').next().unwrap();
+    // the group never ends: its publisher is silent
+    let mut reader = client::Connection::asking(server.addr, &format!("/v1/live/attic/gops/{group}?token={}", token(seconds_now() + 3)));
+    let mut all = Vec::new();
+    reader.raw().read_to_end(&mut all).unwrap();
+    // a whole group ends with an empty chunk
+    assert!(all.starts_with(b"HTTP/1.1 200 ") && !all.ends_with(b"\r\n0\r\n\r\n"), "{}", String::from_utf8_lossy(&all));
 }
 
 #[test]

@@ -4,6 +4,7 @@ use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 
 use bytes::Bytes;
 use h2::client::SendRequest;
@@ -15,6 +16,7 @@ use tmpi::server::Tls;
 use tmpi_testing::program::Killed;
 
 use crate::live;
+use crate::photo_settings;
 use crate::prelude::*;
 
 fn example(name: &str) -> PathBuf {
@@ -283,13 +285,18 @@ fn stalled_silent_and_plain_text_connections_are_closed() {
     });
 }
 
+const HELD: &str = "tmpi_answer_memory_bytes";
+
+/// Held by tests of the memory of answers, which all servers of a process share.
+static ANSWER_MEMORY: Mutex<()> = Mutex::new(());
+
 #[test]
 fn unread_answers_share_a_bound_of_memory_and_others_are_served_meanwhile() {
-    const HELD: &str = "tmpi_answer_memory_bytes";
-    const CONNECTIONS: usize = 12;
+    const CONNECTIONS: usize = 40;
     const STREAMS: usize = 32;
-    // all pieces together, and two of the least size for each request; that of a first piece would be 24 MiB
+    // all pieces together, and two of the least size for each request; a whole piece for each would be 40 MiB
     const BOUND: u64 = (16 << 20) + (CONNECTIONS * STREAMS * 2 * (4 << 10)) as u64;
+    let _alone = ANSWER_MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
     let (server, id, atlas) = start_with(&noise(), Limits::default());
     assert!(atlas.len() > 256 << 10, "a file that is read in pieces: {} bytes", atlas.len());
     let path = format!("/v1/photos/{id}/atlas");
@@ -321,5 +328,47 @@ fn unread_answers_share_a_bound_of_memory_and_others_are_served_meanwhile() {
         while metric(&reader, HELD).await > 1 << 20 {
             assert!(Instant::now() < end, "a minute is over before the memory of clients that have gone is free");
         }
+    });
+}
+
+#[test]
+fn answers_made_for_one_client_count_and_clients_that_do_not_read_them_go_when_memory_is_short() {
+    const STREAMS: usize = 32;
+    // all connections hold more than four times the bound of 16 MiB
+    const SHORT: usize = 64 << 20;
+    let _alone = ANSWER_MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
+    let plain = Running::open();
+    let path = format!("/v1/photos/{}/strokes", plain.make(&jpeg(1)));
+    let at = |i: usize| f64::from(i as u32) / 8192.0 * 0.987_654_321;
+    let strokes: Vec<Value> = (0..8)
+        .map(|n| json!({ "points": (0..1000).map(|i| [at(n * 1000 + i), at(8000 - n * 1000 - i)]).collect::<Vec<_>>(), "radius": 0.002, "by": 0.001 }))
+        .collect();
+    photo_settings::patch(&plain, &path, &[("prefer", "wait=60")], &json!({ "strokes": strokes })).is(200);
+    let bytes = get(plain.addr, &path).body.len();
+    let server = over_tls(plain, Limits::default());
+    block_on(async {
+        let reader = second(server.addr, &mut h2::client::Builder::new()).await;
+        let mut unread = Vec::new();
+        for _ in 0..=SHORT / (STREAMS * bytes) {
+            // this client takes no byte of a body
+            let sender = second(server.addr, h2::client::Builder::new().initial_window_size(0)).await;
+            for _ in 0..STREAMS {
+                let (answer, _) = sender.clone().ready().await.unwrap().send_request(asks("GET", &path, "localhost"), true).unwrap();
+                unread.push(answer.await.unwrap());
+            }
+        }
+        let mut most = 0;
+        let end = Instant::now() + Duration::from_secs(50);
+        loop {
+            let held = metric(&reader, HELD).await;
+            most = most.max(held);
+            if most > SHORT as u64 && held < SHORT as u64 {
+                break;
+            }
+            // with memory to spare they would have 74 seconds
+            assert!(Instant::now() < end, "{held} of {most} bytes are held by clients that do not read");
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        assert_eq!(fetch(&reader, asks("GET", &path, "localhost")).await.1.len(), bytes);
     });
 }

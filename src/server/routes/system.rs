@@ -10,7 +10,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::query::NoQuery;
-use crate::server::answer_memory::PIECES;
+use crate::server::answer_memory::ANSWERS;
 use crate::server::app_state::App;
 use crate::server::blocking_pool::WorkClass;
 use crate::server::conditional::{Entity, respond, respond_uncached};
@@ -104,7 +104,11 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         ("tmpi_job_memory_bytes", "Memory that photos under way may take", app.memory.taken() as f64),
         ("tmpi_work_memory_limit_bytes", "Memory that work on scenes may have, besides films and files", app.limits.work_memory as f64),
         ("tmpi_job_memory_limit_bytes", "Memory that photos under way may have", app.limits.job_memory as f64),
-        ("tmpi_answer_memory_bytes", "Memory of pieces of files that are being sent", PIECES.held() as f64),
+        (
+            "tmpi_answer_memory_bytes",
+            "Memory of answers that are being sent: pieces of files, and answers of HTTP/2 made for one client",
+            ANSWERS.held() as f64,
+        ),
         ("tmpi_views_waiting", "Views that wait to be drawn", waiting(WorkClass::Interactive)),
         ("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(WorkClass::Derived)),
         ("tmpi_exports_waiting", "Films and files that wait to be written", waiting(WorkClass::Export)),
