@@ -98,8 +98,8 @@ pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, 
     let (epoch, frame) = room.newest_frame().ok_or_else(|| Problem::not_found("no frame is ready yet"))?;
     let (number, container) = (frame.tiles.frame, frame.container().await?);
     let etag = format!("\"{epoch}-{number}\"");
-    // a copy, whose memory counts as long as the client reads it; the room's own is shared
-    let container = Bytes::copy_from_slice(&container);
+    // the client may hold it for longer than the room does
+    let container = ANSWERS.count(container);
     let entity =
         Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: ContentCoding::Plain };
     let mut response = respond(&headers, entity);
@@ -165,6 +165,7 @@ pub async fn group(
     let first = timeout(NEXT_GROUP, pieces.next()).await.map_err(|_| none().retry_after(1))?;
     let Some(first) = first else { return Err(none().retry_after(1)) };
     let messages = stream::once(async { Ok(first) }).chain(rest(pieces, held, here.stop));
+    let messages = messages.map_ok(|message| ANSWERS.count(message));
     Ok((told, Body::from_stream(until(messages, access.ends()))).into_response())
 }
 
@@ -175,8 +176,9 @@ where
 {
     stream::try_unfold(Box::pin(messages), move |mut messages| async move {
         tokio::select! {
-            next = messages.try_next() => Ok(next?.map(|message| (ANSWERS.count(message), messages))),
+            biased;
             () = ended(ends) => Err(std::io::Error::other(ENDED)),
+            next = messages.try_next() => Ok(next?.map(|message| (message, messages))),
         }
     })
 }

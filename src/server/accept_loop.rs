@@ -42,7 +42,7 @@ const WINDOWS: (u32, u32) = (256 << 10, 1 << 20);
 const PING: (Duration, Duration) = (Duration::from_secs(30), Duration::from_secs(20));
 /// Interval of the checks of a connection's streams.
 const LOOK: Duration = Duration::from_secs(1);
-/// How much faster clients of HTTP/2 must read while memory is short.
+/// How many times faster HTTP/2 clients must read while memory is short.
 const FASTER: u32 = 8;
 
 /// Where connections arrive.
@@ -67,7 +67,6 @@ impl Http {
         one.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
         two.timer(TokioTimer::new()).max_header_list_size(Limits::HEADER_BYTES as u32).max_concurrent_streams(limits.streams_at_once);
         two.initial_stream_window_size(WINDOWS.0).initial_connection_window_size(WINDOWS.1);
-        // a stream whose client does not read holds two pieces, one of them in this buffer
         two.max_send_buf_size(PIECE);
         two.keep_alive_interval(PING.0).keep_alive_timeout(PING.1);
         Self { one, two }
@@ -182,8 +181,6 @@ impl Connection {
         let mut connection = pin!(self.http.two.serve_connection(TokioIo::new(stream), service));
         let mut look = tokio::time::interval(LOOK);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        // the transport may still hold this much of complete answers
-        let rest = Duration::from_secs_f64((2 * PIECE) as f64 / self.limits.write_rate.max(1) as f64);
         let mut leaving = None;
         let ended = loop {
             tokio::select! {
@@ -197,7 +194,7 @@ impl Connection {
                         leaving = Some(Instant::now());
                         connection.as_mut().graceful_shutdown();
                     }
-                    (StreamHealth::Idle, Some(since)) if since.elapsed() <= self.limits.write + rest => {}
+                    (StreamHealth::Idle, Some(since)) if since.elapsed() <= self.limits.write => {}
                     (StreamHealth::Stalled | StreamHealth::Idle, _) => {
                         tracing::debug!(peer = %from.0, "the client does not read its answers");
                         break Ok(());

@@ -4,9 +4,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use bytes::Bytes;
 
-/// What is being sent, on all connections together: pieces of files, and whole answers of HTTP/2 that were made for one client. Beyond 16 MiB, a
-/// file of HTTP/2 holds two pieces of [`LEAST`], and one of HTTP/1, whose transport queues more of them, 16. Each piece of an object store
-/// is a request of its own, so it has 64 KiB.
+/// Answers that are being sent, on all connections together: pieces of files and of groups of pictures, and whole answers of HTTP/2 that were
+/// made for one client. Beyond 16 MiB, pieces of files have [`LEAST`]. Each piece of an object store is a request of its own, so it has 64 KiB.
+/// The transport holds up to 64 KiB of a request.
 pub static ANSWERS: AnswerMemory = AnswerMemory::new(16 << 20);
 
 /// Memory is short if answers hold this many times their bound: then clients of HTTP/2 that do not read are disconnected sooner.

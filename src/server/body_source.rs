@@ -12,7 +12,7 @@ use tmpi_library::{Blob, BlobStore};
 
 use super::answer_memory::{ANSWERS, AnswerMemory, LEAST};
 
-/// Most bytes of a file to read at a time. The transport asks for a piece ahead, so a client that does not read holds two.
+/// Most bytes of a file to read at a time. A client that does not read holds one piece, and one more in the transport.
 const PIECE: usize = 32 << 10;
 
 /// Bytes of an object to read first. Object stores have a high latency, so each piece is twice as large as the one before. A client holds

@@ -93,16 +93,29 @@ impl Drop for OpenStream {
     }
 }
 
-/// Most bytes of a body to hand over at a time. The transport requests a piece ahead, and buffers what a client does not read.
+/// Most bytes of a body to hand over at a time, and to buffer in the transport. The transport also requests a piece ahead.
 pub const PIECE: usize = 32 << 10;
+
+/// A piece of a body, which keeps its request open until the transport has sent it.
+struct SentPiece {
+    bytes: Bytes,
+    #[expect(dead_code, reason = "held until it is dropped")]
+    open: Arc<OpenStream>,
+}
+
+impl AsRef<[u8]> for SentPiece {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
 
 /// A response body that tracks its client, and the memory of an answer that was made for this client alone.
 #[derive(Debug)]
 pub struct TrackedBody<B> {
     body: B,
-    open: OpenStream,
+    open: Arc<OpenStream>,
     memory: &'static AnswerMemory,
-    /// The body is in memory as a whole. One that is read piece by piece has counted its pieces.
+    /// The length of the body is known, so that it is in memory as a whole. One that is read piece by piece has counted its pieces.
     whole: bool,
     /// The rest of a piece that was too large.
     left: Bytes,
@@ -114,7 +127,7 @@ impl<B: Body> TrackedBody<B> {
     /// Wraps the body of the response to a request.
     pub fn new(body: B, open: OpenStream, memory: &'static AnswerMemory) -> Self {
         let whole = body.size_hint().exact().is_some();
-        Self { body, open, memory, whole, left: Bytes::new(), begun: false }
+        Self { body, open: Arc::new(open), memory, whole, left: Bytes::new(), begun: false }
     }
 }
 
@@ -135,15 +148,16 @@ impl<B: Body<Data = Bytes> + Unpin> Body for TrackedBody<B> {
                     data = self.memory.count(data);
                 }
                 self.left = data.split_off(data.len().min(PIECE));
-                data
+                Bytes::from_owner(SentPiece { bytes: data, open: Arc::clone(&self.open) })
             })
         });
-        // the transport asks for more, so the client has read all but one piece
-        let waiting = match &polled {
-            Poll::Ready(Some(Ok(frame))) => frame.data_ref().map(Bytes::len),
-            _ => None,
-        };
-        self.open.turn(waiting);
+        match &polled {
+            // the client must read it, and what the transport has buffered
+            Poll::Ready(Some(Ok(frame))) => self.open.turn(frame.data_ref().map(|data| data.len() + PIECE)),
+            // the transport may still hold the last piece
+            Poll::Ready(None) => {}
+            Poll::Ready(Some(Err(_))) | Poll::Pending => self.open.turn(None),
+        }
         self.begun |= polled.is_ready();
         polled
     }
@@ -185,12 +199,14 @@ mod tests {
         let pieces = stream::iter([Ok::<_, std::convert::Infallible>(Bytes::from(vec![0; 5000])), Ok(Bytes::new())]);
         let mut body = TrackedBody::new(Whole::from_stream(pieces), open, &MEMORY);
         body.frame().await.unwrap().unwrap();
-        assert_eq!(look(34), StreamHealth::Fine, "5 seconds at the least rate come on top");
-        assert_eq!(look(40), StreamHealth::Stalled);
-        body.frame().await.unwrap().unwrap();
+        // seconds at the least rate for it, and for what the transport has buffered, come on top
+        let rest = (5000 + PIECE as u64) / 1000;
+        assert_eq!([29, 31].map(|seconds| look(rest + seconds)), [StreamHealth::Fine, StreamHealth::Stalled]);
+        let last = body.frame().await.unwrap().unwrap();
         assert!(body.frame().await.is_none());
-        assert_eq!(look(40), StreamHealth::Fine, "all was asked for");
         drop(body);
+        assert_eq!(look(70), StreamHealth::Stalled, "the transport holds the last piece");
+        drop(last);
         assert_eq!(look(5), StreamHealth::Fine);
         assert_eq!(look(20), StreamHealth::Idle);
         let _open = streams.open();

@@ -68,7 +68,7 @@ fn a_group_of_pictures_breaks_off_when_its_token_expires() {
     });
     let group = newest.unwrap();
     let group = group.split('?').next().unwrap();
-    // the group never ends: its publisher is silent
+    // the publisher is silent, so the group does not end before the token
     let mut reader = client::Connection::asking(server.addr, &format!("/v1/live/attic/gops/{group}?token={}", token(seconds_now() + 3)));
     let mut all = Vec::new();
     reader.raw().read_to_end(&mut all).unwrap();

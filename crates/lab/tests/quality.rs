@@ -153,9 +153,13 @@ fn results_do_not_depend_on_threads() {
 /// Widening is for networks that draw things too small. These maps are blurred, but their things have their true size.
 #[test]
 fn widening_hardly_harms_things_of_the_right_size() {
-    const SEEDS: std::ops::Range<u64> = 920_001..920_009;
-    let mean = |snap| SEEDS.map(|seed| subject(seed, Map::Blurred)).map(|s| s.figures(&s.make_with(snap)).views_psnr).sum::<f64>() / 8.0;
     // `On` does not widen
-    let (without, with) = (mean(Switch::On), mean(Switch::Auto));
-    assert!(with > without - 0.1, "{without:.2} dB without, {with:.2} dB with widening");
+    let lost = (920_001..920_009).map(|seed| {
+        let s = subject(seed, Map::Blurred);
+        let [without, with] = [Switch::On, Switch::Auto].map(|snap| s.figures(&s.make_with(snap)).views_psnr);
+        assert!(with > without - 0.25, "{seed}: {without:.2} dB without, {with:.2} dB with widening");
+        without - with
+    });
+    let mean = lost.sum::<f64>() / 8.0;
+    assert!(mean < 0.1, "{mean:.2} dB");
 }

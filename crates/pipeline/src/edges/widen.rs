@@ -118,9 +118,9 @@ impl Edges<'_> {
         (alike * ONE_IN <= n).then(|| distance(own, sums.map(|s| (s / n) as u8)))
     }
 
-    /// Whether a foreign colour is the given near side's (at most half as far from it as from the background), or that of a rim that sharpening
-    /// has left. Any other colour may be another part of the background, such as sky between a tree and the ground. `off` is the square
-    /// of the colour's distance from the background.
+    /// Whether a foreign colour is that of the near side as given (at most half as far from it as from the background), or that of a rim
+    /// that sharpening has left. Any other colour may be another part of the background, such as sky between a tree and the ground. `off` is
+    /// the square of the colour's distance from the background.
     fn is_like_near(&self, i: usize, near_from: f32, off: u32) -> bool {
         let own = self.photo.rgb[i];
         let near = self.window(i, WINDOW, STRIDE).filter(|&j| self.given[j] >= near_from);
