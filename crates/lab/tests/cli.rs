@@ -139,7 +139,9 @@ fn eval_scores_methods_on_rendered_scenes() {
         assert!(row["bytes"].as_f64().unwrap() > 0.0 && row["make_ms"].as_f64().unwrap() > 0.0, "{row}");
     }
     f.run(&["eval", "scenes", "--only", "best"]).fails(2, &["--only", "tmpi-lloyd"]);
-    f.run(&["eval", "scenes/00000000"]).fails(1, &["stereo pair"]);
+    f.run(&["eval", "scenes/00000000", "--only", "mesh"]).succeeds();
+    std::fs::create_dir(f.path("empty")).unwrap();
+    f.run(&["eval", "empty"]).fails(1, &["stereo pair"]);
     f.run(&["eval", "nowhere"]).fails(1, &["nowhere"]);
 }
 

@@ -21,8 +21,8 @@ use tmpi_render::{Cpu, Renderer};
 pub(super) enum Without {
     Nothing,
     Median,
-    /// Leaves pixels of mixed colours on the side where the map has them.
-    Rims,
+    /// Moves pixels of mixed colours to the near side.
+    FarRims,
     /// Applies the median also to pixels whose colour matches their side.
     FullMedian,
     /// Adds no planes for background that is visible only in neighbouring tiles.
@@ -40,7 +40,7 @@ pub(super) enum Without {
 const ALL: [(&str, Without); 12] = [
     ("all steps", Without::Nothing),
     ("without the colour-weighted median", Without::Median),
-    ("without moving rims to the near side", Without::Rims),
+    ("with rims on the near side", Without::FarRims),
     ("colour-weighted median of every edge pixel", Without::FullMedian),
     ("without backgrounds", Without::Backgrounds),
     ("without hidden texels", Without::Hidden),
@@ -71,7 +71,7 @@ impl<'a> Prepared<'a> {
         let decoded = subject.decoded()?;
         let photo = decoded.photo;
         let intrinsics = subject.fov_x.map_or(decoded.intrinsics, |fov| Intrinsics::from_fov_x(photo.width, photo.height, fov));
-        let snapped = edges::clean(&photo, given);
+        let snapped = edges::median(&photo, given);
         Ok(Some(Self { subject, photo, intrinsics, view_box, given, snapped, psi }))
     }
 
@@ -84,7 +84,7 @@ impl<'a> Prepared<'a> {
         let placement = Placement { neighbour, ..options.placement(options.max_error, most) };
         let map = match without {
             Without::Median => self.given,
-            Without::Rims => &edges::median(&self.photo, self.given),
+            Without::FarRims => &edges::join_rims(&self.photo, &self.snapped),
             Without::FullMedian => &edges::full_median(&self.photo, self.given),
             _ => &self.snapped,
         };

@@ -63,10 +63,10 @@ const FAULTS: &[Fault] = &[
         map_filters::denoise(c, "median and guided filter", DisparityMap::clone);
     }),
     fault("snapping", &["snap"], &["a step blurred over 5 pixels"], |c| {
-        map_filters::snap(c, "snap", edges::clean);
+        map_filters::snap(c, "snap", edges::median);
     }),
-    fault("snapping", &["clean"], &["one value, unchanged", "one row, unchanged"], |c| {
-        map_filters::snap(c, "clean", |photo, map| shifted(edges::clean(photo, map)));
+    fault("snapping", &["median"], &["one value, unchanged", "one row, unchanged"], |c| {
+        map_filters::snap(c, "median", |photo, map| shifted(edges::median(photo, map)));
     }),
     fault("enlarging", &["guided filter"], &["noise by noise", "one pixel", "one value to 16 times the size"], |c| {
         map_filters::enlarge(c, |photo, map| shifted(upsample(photo, map)));

@@ -14,7 +14,7 @@ pub(super) fn run(checked: &mut Checked) {
     denoise(checked, "local planes", local_planes::denoise);
     denoise(checked, "median and guided filter", |map| median_guided::denoise(&grey(map.width, map.height, |_, _| 128), map));
     snap(checked, "snap", edges::snap);
-    snap(checked, "clean", edges::clean);
+    snap(checked, "median", edges::median);
     enlarge(checked, upsample);
     resize(checked, |file, (w, h)| from_map(file, DepthKind::Disparity, &Limits::default(), w, h).ok().map(|(map, _)| map));
     labels(checked, smooth_labels);

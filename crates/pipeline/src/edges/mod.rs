@@ -52,14 +52,10 @@ pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     join_rims(photo, &full_median(photo, &snapped))
 }
 
-/// The part of [`snap`] that sharp maps need: runs [`median`], then joins rim pixels to the near side.
-pub fn clean(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
-    join_rims(photo, &median(photo, delta))
-}
-
 /// Gives pixels on the far side of an edge to the near side if a quarter or more of their colour is the near side's. Otherwise they stay
-/// behind as a dotted contour wherever the near side moves away.
-fn join_rims(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
+/// behind as a dotted contour wherever the near side moves away. In exact maps their share of the near side's colour is separated better
+/// by matting (`tmpi-lab bench --only without`).
+pub fn join_rims(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let tables = Tables::new();
     each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out))
 }
@@ -86,8 +82,8 @@ pub fn ramp_share(delta: &DisparityMap) -> f64 {
 /// what snapping gains on either side of this value.
 pub const BLURRED: f64 = 0.15;
 
-/// Colour-weighted median over 5×5 pixels where δ has an edge, for pixels whose colour does not support their own side. It helps measured
-/// depth, and is nearly harmless on exact depth.
+/// Colour-weighted median over 5×5 pixels where δ has an edge, for pixels whose colour does not support their own side: the part of
+/// [`snap`] that sharp maps need. It helps measured depth, and is nearly harmless on exact depth.
 pub fn median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let level = Level::new();
     each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(level, band, KEPT, y, lo, hi, out))
@@ -174,17 +170,17 @@ mod tests {
     }
 
     #[test]
-    fn a_rim_of_mixed_colours_joins_the_near_side_of_an_exact_map() {
+    fn a_rim_of_mixed_colours_joins_the_near_side() {
         let (far, near) = ([40u8, 60, 90], [200u8, 150, 60]);
         for (share, joins) in [(0.1, false), (0.4, true)] {
             let (mut photo, sharp) = step(1e-3);
             let mixed: [u8; 3] = std::array::from_fn(|i| (f32::from(far[i]) + share * (f32::from(near[i]) - f32::from(far[i]))) as u8);
             photo.rgb.iter_mut().enumerate().filter(|(i, _)| i % 48 == 23).for_each(|(_, c)| *c = mixed);
-            let cleaned = clean(&photo, &sharp);
+            let joined = join_rims(&photo, &sharp);
             let edge = if joins { 23 } else { 24 };
-            assert!(cleaned.delta.iter().enumerate().all(|(i, d)| (d - if i % 48 < edge { 0.2 } else { 0.8 }).abs() < 1e-6), "{share}");
+            assert!(joined.delta.iter().enumerate().all(|(i, d)| (d - if i % 48 < edge { 0.2 } else { 0.8 }).abs() < 1e-6), "{share}");
             // without a mixed colour nothing joins
-            assert_eq!(clean(&step(1e-3).0, &sharp), sharp);
+            assert_eq!(join_rims(&step(1e-3).0, &sharp), sharp);
         }
     }
 

@@ -255,7 +255,7 @@ fn snap(context: &mut Context, photo: &Photo, mut map: WeightedDisparity, widens
     if switch != Switch::Off {
         // snapping sharp depth costs quality, and a given map may be sharp or blurred
         let blurred = !map.given || switch == Switch::On || edges::ramp_share(&map.delta) > edges::BLURRED;
-        let mut snapped = if blurred { edges::snap(photo, &map.delta) } else { edges::clean(photo, &map.delta) };
+        let mut snapped = if blurred { edges::snap(photo, &map.delta) } else { edges::median(photo, &map.delta) };
         if widens {
             snapped = edges::widen(photo, &snapped);
         }
