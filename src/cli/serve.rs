@@ -264,13 +264,6 @@ fn address(text: &str) -> Result<SocketAddr, String> {
     }
 }
 
-/// Whether an argument is an address with a password.
-fn has_password(argument: &str) -> bool {
-    let Some((_, address)) = argument.split_once("://") else { return false };
-    let authority = address.split(['/', '?', '#']).next().unwrap_or_default();
-    authority.rsplit_once('@').is_some_and(|(user, _)| user.contains(':')) || address.contains("password=")
-}
-
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let makes_for_another = std::env::var_os(VARIABLE).is_some();
@@ -286,9 +279,6 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         return Ok(());
     }
     disable_process_inspection();
-    if std::env::args_os().any(|argument| has_password(&argument.to_string_lossy())) {
-        tracing::warn!("a password on the command line is visible to all users of this machine: set it in the environment or in tmpi.toml");
-    }
     let (rooms, presets) = (args.rooms(&models, limits.live)?, args.presets(&limits)?);
     use_one_malloc_arena();
     if let Err(error) = tmpi_pipeline::networks::available() {

@@ -33,16 +33,21 @@ pub struct Share {
     pub bytes: usize,
 }
 
-struct Piece {
+struct Holding<T> {
     bytes: Bytes,
     #[expect(dead_code, reason = "held until it is dropped")]
-    share: Share,
+    held: T,
 }
 
-impl AsRef<[u8]> for Piece {
+impl<T> AsRef<[u8]> for Holding<T> {
     fn as_ref(&self) -> &[u8] {
         &self.bytes
     }
+}
+
+/// The same bytes, which hold something until all their clones are dropped.
+pub fn holding(bytes: Bytes, held: impl Send + 'static) -> Bytes {
+    Bytes::from_owner(Holding { bytes, held })
 }
 
 impl AnswerMemory {
@@ -102,7 +107,7 @@ impl Share {
 
     /// The same bytes, which hold the share until all their clones are dropped.
     pub fn attach(self, bytes: Bytes) -> Bytes {
-        Bytes::from_owner(Piece { bytes, share: self })
+        holding(bytes, self)
     }
 }
 

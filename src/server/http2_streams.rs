@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use hyper::body::{Body, Frame, SizeHint};
 
-use super::answer_memory::AnswerMemory;
+use super::answer_memory::{AnswerMemory, holding};
 
 /// Requests of a connection.
 #[derive(Debug)]
@@ -96,19 +96,6 @@ impl Drop for OpenStream {
 /// Most bytes of a body to hand over at a time, and to buffer in the transport. The transport also requests a piece ahead.
 pub const PIECE: usize = 32 << 10;
 
-/// A piece of a body, which keeps its request open until the transport has sent it.
-struct SentPiece {
-    bytes: Bytes,
-    #[expect(dead_code, reason = "held until it is dropped")]
-    open: Arc<OpenStream>,
-}
-
-impl AsRef<[u8]> for SentPiece {
-    fn as_ref(&self) -> &[u8] {
-        &self.bytes
-    }
-}
-
 /// A response body that tracks its client, and the memory of an answer that was made for this client alone.
 #[derive(Debug)]
 pub struct TrackedBody<B> {
@@ -148,14 +135,15 @@ impl<B: Body<Data = Bytes> + Unpin> Body for TrackedBody<B> {
                     data = self.memory.count(data);
                 }
                 self.left = data.split_off(data.len().min(PIECE));
-                Bytes::from_owner(SentPiece { bytes: data, open: Arc::clone(&self.open) })
+                // the request stays open until the transport has sent it
+                holding(data, Arc::clone(&self.open))
             })
         });
         match &polled {
             // the client must read it, and what the transport has buffered
             Poll::Ready(Some(Ok(frame))) => self.open.turn(frame.data_ref().map(|data| data.len() + PIECE)),
-            // the transport may still hold the last piece
-            Poll::Ready(None) => {}
+            // the transport may still hold the last pieces
+            Poll::Ready(None) => self.open.turn(Some(PIECE)),
             Poll::Ready(Some(Err(_))) | Poll::Pending => self.open.turn(None),
         }
         self.begun |= polled.is_ready();
@@ -181,7 +169,7 @@ impl<B: Body<Data = Bytes> + Unpin> Body for TrackedBody<B> {
 #[cfg(test)]
 mod tests {
     use axum::body::Body as Whole;
-    use futures_util::stream;
+    use futures_util::{FutureExt as _, stream};
     use http_body_util::BodyExt as _;
 
     use super::*;
@@ -203,6 +191,20 @@ mod tests {
         let rest = (5000 + PIECE as u64) / 1000;
         assert_eq!([29, 31].map(|seconds| look(rest + seconds)), [StreamHealth::Fine, StreamHealth::Stalled]);
         let last = body.frame().await.unwrap().unwrap();
+        assert!(body.frame().await.is_none());
+        drop(body);
+        assert_eq!(look(70), StreamHealth::Stalled, "the transport holds the last piece");
+        drop(last);
+        // the end comes some time after the last piece
+        let (sender, receiver) = tokio::sync::mpsc::unbounded_channel();
+        sender.send(Bytes::from(vec![0; 5000])).unwrap();
+        let pieces =
+            stream::unfold(receiver, |mut receiver| async { Some((Ok::<_, std::convert::Infallible>(receiver.recv().await?), receiver)) });
+        let mut body = TrackedBody::new(Whole::from_stream(pieces), streams.open(), &MEMORY);
+        let last = body.frame().await.unwrap().unwrap();
+        assert!(body.frame().now_or_never().is_none());
+        assert_eq!(look(1000), StreamHealth::Fine, "it waits for the server");
+        drop(sender);
         assert!(body.frame().await.is_none());
         drop(body);
         assert_eq!(look(70), StreamHealth::Stalled, "the transport holds the last piece");

@@ -81,18 +81,3 @@ fn a_public_server_has_a_lame_duck_period() {
     let of = |args: &[&str]| limits(args).lame_duck.as_secs();
     assert_eq!((of(&[]), of(&["--addr", "0.0.0.0:80"]), of(&["--set", "limits.lame-duck=9"])), (0, 5, 9));
 }
-
-#[test]
-fn addresses_with_passwords_are_recognized() {
-    for with in [
-        "--database=postgres://me:secret@db/tmpi",
-        "postgres://me:s@cret@db",
-        "https://me:@example.org/a",
-        "postgres://db/a?password=secret",
-    ] {
-        assert!(has_password(with), "{with}");
-    }
-    for without in ["--database=postgres://me@db/tmpi", "https://example.org/a:b@c", "https://db:5432", "me:secret@db", ""] {
-        assert!(!has_password(without), "{without}");
-    }
-}
