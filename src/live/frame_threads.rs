@@ -221,7 +221,7 @@ mod tests {
     use crate::live::room::NextStep;
 
     #[test]
-    fn after_a_cut_under_a_budget_viewers_have_the_tiles_that_were_left_for_later() {
+    fn after_a_cut_under_a_budget_viewers_have_all_new_tiles() {
         const SIZE: (u32, u32) = (160, 120);
         let settings = Settings { frame_ms: 1e-3, ..Settings::default() };
         // depth is brightness
@@ -254,7 +254,7 @@ mod tests {
         next(0, false);
         read_all(&mut model);
         let before = model.geometry().expect("all tiles of the first frame").clone();
-        for number in 1..60 {
+        for number in 1..4 {
             next(number, true);
             read_all(&mut model);
         }

@@ -11,7 +11,7 @@ const SIZE_OVERRUN: f64 = 2.0;
 const NEWEST: f64 = 0.2;
 /// A larger size must fit into this fraction of depth's time before it is chosen, so that sizes do not oscillate.
 const HEADROOM: f64 = 0.85;
-/// Plane limits to try in turn before any tile has to wait. Two planes suffice for an object and its background.
+/// Plane limits to try in turn if the tiles do not fit. Two planes suffice for an object and its background.
 const PLANE_LIMITS: [u32; 2] = [3, 2];
 
 /// Running mean of a cost.
@@ -43,7 +43,7 @@ impl Cost {
 /// How many tiles and planes fit into a frame's time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TileBudget {
-    /// Tiles that can get planes; at least one.
+    /// Tiles for which there is time; at least one. Changed tiles get planes even if they are more.
     pub tiles: usize,
     /// Maximum number of planes per tile; `None`: as many as it needs.
     pub planes: Option<u32>,
@@ -120,8 +120,8 @@ impl Budget {
         self.overhead.record(ms - network_ms);
     }
 
-    /// Decides how many of the `waiting` tiles fit into the rest of the frame: all with as many planes as they need, up to `most`;
-    /// otherwise all with fewer planes; otherwise some of them with fewer planes. `most` is `None` if the number of planes is fixed.
+    /// Decides how many planes the `waiting` tiles get, and how many tiles fit into the rest of the frame: as many planes as they need, up to
+    /// `most`, if all fit then; otherwise fewer. `most` is `None` if the number of planes is fixed.
     pub fn tiles(&self, waiting: usize, most: Option<u32>) -> TileBudget {
         // a smaller network size saves time for a larger one, not for tiles; otherwise more time could mean fewer tiles
         let depth = if self.size.1 { f64::INFINITY } else { self.depth_ms(self.size.0) };

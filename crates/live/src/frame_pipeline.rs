@@ -41,8 +41,8 @@ pub const MAX_ERROR: f64 = 3.5;
 /// Default budget of a frame's geometry, in milliseconds. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3, 13.1
 /// and 17.5 ms of CPU time a frame; views of 23.4, 23.3, 23.4 and 23.3 dB; flicker 0.070, 0.064, 0.054 and 0.080 levels; edges 2.1, 2.2, 2.1
 /// and 2.2 pixels short. At 640×480, 12, 20, 30 and 45 ms (`--size 640x480 --frames 120`) have edges 2.2, 1.6, 1.6 and 1.7 pixels short.
-/// With 20 ms instead of 30, frames arrive a sixth sooner if everything shares two cores (`glass-to-glass.mjs`); but at 640×480 more tiles
-/// wait, and moving objects are torn more often where they meet others.
+/// With 20 ms instead of 45, frames arrive sooner if everything shares two cores (`glass-to-glass.mjs`: median 36 ms, not 112; 29.8 frames a
+/// second, not 24), but moving objects are torn more often at 640×480 (`tears.mjs`).
 pub const BUDGET_MS: f64 = 20.0;
 
 /// Factor on that error for measured depth: planes are then few, and the largest source of error in views.
@@ -119,7 +119,7 @@ pub struct Update {
     pub kept_error: f64,
     /// The sent tiles, encoded.
     pub chunks: Vec<Chunk>,
-    /// Number of changed tiles that wait for a later frame.
+    /// Number of changed tiles that wait for a later frame: during the cooldown, or until depth is due.
     pub waiting: usize,
     /// Number of tiles that may need more planes than there was time for; they get them when there is time.
     pub coarse: usize,
@@ -140,13 +140,11 @@ pub struct FramePipeline {
     compare: Compare,
     planes: WarmStart,
     state: Option<State>,
-    /// All tiles as readers have them. After a cut, tiles of the old scene remain until there is time to replace them.
-    reader_tiles: Option<core::Geometry>,
 }
 
 /// State since the last cut.
 struct State {
-    /// Each tile as last sent, or without planes. Tiles that are not sent do not change here either, so that errors do not accumulate.
+    /// Each tile as last sent, or without planes before the first depth. Tiles that are not sent do not change here either, so that errors do not accumulate.
     geometry: core::Geometry,
     /// Depth of all pixels is known.
     has_depth: bool,
@@ -180,13 +178,13 @@ impl FramePipeline {
     /// Starts without any frame.
     pub fn new(models: Models, settings: Settings) -> Self {
         let (budget, compare) = (Budget::new(settings.frame_ms), Compare::default());
-        Self { models, settings, limits: Limits::default(), budget, compare, planes: WarmStart::default(), state: None, reader_tiles: None }
+        Self { models, settings, limits: Limits::default(), budget, compare, planes: WarmStart::default(), state: None }
     }
 
-    /// All tiles as a reader of every chunk has them. After a cut, tiles of the old scene remain until they are replaced. `None` until
-    /// every tile has planes.
+    /// All tiles as a reader of every chunk has them. `None` until every tile has planes.
     pub fn geometry(&self) -> Option<&core::Geometry> {
-        self.reader_tiles.as_ref().filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
+        let geometry = self.state.as_ref().map(|state| &state.geometry);
+        geometry.filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
     }
 
     /// Each pixel when its block last changed; its depth belongs to this picture.
@@ -254,7 +252,7 @@ impl FramePipeline {
         if !cooling_down && !state.stale.contains(&true) {
             let most = (options.planes == PlaneCount::Auto).then_some(MAX_AUTO_PLANES);
             let share = self.budget.tiles(state.queue.waiting(), most);
-            let chosen_tiles = state.queue.next(share.tiles, share.planes.is_none());
+            let chosen_tiles = state.queue.next(share.tiles);
             if !chosen_tiles.is_empty() {
                 let before = Instant::now();
                 let counts = state.place(&mut job, &mut self.planes, (&chosen_tiles, share, self.settings.parallax), &mut update)?;
@@ -262,7 +260,6 @@ impl FramePipeline {
                 state.last_sent = (!update.sent.is_empty() && !measured).then_some(frame.at);
             }
         }
-        state.queue.age();
         (update.waiting, update.coarse) = (state.queue.waiting(), state.queue.coarse());
         update.stages = job.finish().stages;
         let before = Instant::now();
@@ -270,20 +267,7 @@ impl FramePipeline {
         let coded = |area| chunk::encode(&grid, area, &state.geometry.tiles, frame.number);
         update.chunks = Area::covering(&grid, sent).into_iter().map(coded).collect::<Result<_, _>>()?;
         update.coding_ms = ms(before);
-        update_readers(&mut self.reader_tiles, &state.geometry, &update.sent);
         Ok(update)
-    }
-}
-
-/// Records that readers now have these tiles.
-fn update_readers(reader_tiles: &mut Option<core::Geometry>, now: &core::Geometry, sent: &[u32]) {
-    match reader_tiles {
-        Some(reader_tiles) if reader_tiles.grid == now.grid => {
-            for t in sent {
-                reader_tiles.tiles[*t as usize] = now.tiles[*t as usize].clone();
-            }
-        }
-        _ => *reader_tiles = Some(now.clone()),
     }
 }
 
@@ -328,11 +312,9 @@ impl State {
         for (stale, by) in self.stale.iter_mut().zip(&change.blocks) {
             *stale |= *by > 0;
         }
-        for (t, by) in (0..).zip(change.tiles(grid)) {
-            self.queue.add(t, by);
-            if by > 0 {
-                changed.push(t);
-            }
+        for (t, _) in (0..).zip(change.tiles(grid)).filter(|(_, is_changed)| *is_changed) {
+            self.queue.add(t);
+            changed.push(t);
         }
     }
 
@@ -347,7 +329,7 @@ impl State {
             };
             let count: usize = (r.y..r.y + r.h).map(changed_in_row).sum();
             if !self.queue.waits(t) && count as f64 > DEPTH_CHANGED * r.area() as f64 {
-                self.queue.add(t, count as u64);
+                self.queue.add(t);
                 for y in r.y / BLOCK..(r.y + r.h).div_ceil(BLOCK) {
                     let row = y as usize * across;
                     self.stale[row + (r.x / BLOCK) as usize..row + (r.x + r.w).div_ceil(BLOCK) as usize].fill(true);

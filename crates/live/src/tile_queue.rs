@@ -1,7 +1,4 @@
-//! Queue of tiles that wait for planes.
-
-/// After this many frames, a tile precedes all that have waited less, however much they changed, so that no tile waits forever.
-pub(crate) const MAX_WAIT: u32 = 8;
+//! Tiles that wait for planes.
 
 /// Tiles that wait for planes, and coarse tiles that get more when there is time.
 #[derive(Clone, Debug)]
@@ -11,10 +8,8 @@ pub(crate) struct Queue {
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Waiting {
-    /// How much the tile changed; 0: it does not wait.
-    change: u64,
-    /// Number of frames it has waited.
-    age: u32,
+    /// The tile has changed.
+    changed: bool,
     /// A time limit capped its planes, so it may need more.
     coarse: bool,
 }
@@ -25,9 +20,9 @@ impl Queue {
         Self { tiles: vec![Waiting::default(); tiles] }
     }
 
-    /// Number of tiles that wait, without coarse ones.
+    /// Number of changed tiles that wait.
     pub fn waiting(&self) -> usize {
-        self.tiles.iter().filter(|w| w.change > 0).count()
+        self.tiles.iter().filter(|w| w.changed).count()
     }
 
     /// Number of coarse tiles.
@@ -35,42 +30,28 @@ impl Queue {
         self.tiles.iter().filter(|w| w.coarse).count()
     }
 
-    /// Whether a tile waits.
+    /// Whether a changed tile waits.
     pub fn waits(&self, tile: u32) -> bool {
-        self.tiles[tile as usize].change > 0
+        self.tiles[tile as usize].changed
     }
 
-    /// Adds a change of a tile.
-    pub fn add(&mut self, tile: u32, change: u64) {
-        self.tiles[tile as usize].change += change;
+    /// Adds a changed tile.
+    pub fn add(&mut self, tile: u32) {
+        self.tiles[tile as usize].changed = true;
     }
 
-    /// Counts a frame for all tiles that wait.
-    pub fn age(&mut self) {
-        self.tiles.iter_mut().filter(|w| w.change > 0).for_each(|w| w.age = w.age.saturating_add(1));
-    }
-
-    /// The next tiles, at most `most`. If not all waiting tiles fit: first those that have waited long, oldest first, then those that
-    /// changed most. If all fit and `again` is set, coarse tiles follow.
-    pub fn next(&self, most: usize, again: bool) -> Vec<u32> {
-        let mut next: Vec<u32> = (0..).zip(&self.tiles).filter(|(_, w)| w.change > 0).map(|(t, _)| t).collect();
-        if next.len() > most {
-            let turn = |t: &u32| {
-                let Waiting { change, age, .. } = self.tiles[*t as usize];
-                std::cmp::Reverse((if age >= MAX_WAIT { age } else { 0 }, change))
-            };
-            next.sort_by_key(turn);
-            next.truncate(most);
-        } else if again {
-            let coarse = (0..).zip(&self.tiles).filter(|(_, w)| w.coarse && w.change == 0).map(|(t, _)| t);
-            next.extend(coarse.take(most - next.len()));
-        }
+    /// The next tiles: all that changed, because an object is torn if some of its tiles are from another frame than the others. Coarse tiles
+    /// follow as long as there are no more than `most` in all.
+    pub fn next(&self, most: usize) -> Vec<u32> {
+        let of = |is: fn(&Waiting) -> bool| (0..).zip(&self.tiles).filter(move |(_, w)| is(w)).map(|(t, _)| t);
+        let mut next: Vec<u32> = of(|w| w.changed).collect();
+        next.extend(of(|w| w.coarse && !w.changed).take(most.saturating_sub(next.len())));
         next
     }
 
     /// Marks a tile as done; `coarse` if it may need more planes.
     pub fn done(&mut self, tile: u32, coarse: bool) {
-        self.tiles[tile as usize] = Waiting { coarse, ..Waiting::default() };
+        self.tiles[tile as usize] = Waiting { changed: false, coarse };
     }
 }
 
@@ -79,42 +60,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn most_changed_tiles_come_first_and_coarse_ones_last() {
-        let mut queue = Queue::new(6);
-        for (tile, change) in [(0, 5), (2, 9), (3, 7)] {
-            queue.add(tile, change);
-        }
-        queue.done(5, true);
-        assert_eq!((queue.waiting(), queue.coarse()), (3, 1));
-        assert_eq!((queue.next(2, true), queue.next(3, true), queue.next(9, false)), (vec![2, 3], vec![0, 2, 3], vec![0, 2, 3]));
-        assert_eq!(queue.next(9, true), [0, 2, 3, 5]);
+    fn changed_tiles_go_together_and_coarse_ones_follow_if_there_is_time() {
+        let mut queue = Queue::new(7);
+        [0, 2, 3].into_iter().for_each(|tile| queue.add(tile));
+        [5, 6].into_iter().for_each(|tile| queue.done(tile, true));
+        assert_eq!((queue.waiting(), queue.coarse(), queue.waits(2), queue.waits(5)), (3, 2, true, false));
+        assert_eq!([0, 2, 4, 9].map(|most| queue.next(most)), [vec![0, 2, 3], vec![0, 2, 3], vec![0, 2, 3, 5], vec![0, 2, 3, 5, 6]]);
         queue.done(5, false);
-        assert_eq!((queue.next(9, true), queue.coarse()), (vec![0, 2, 3], 0));
-    }
-
-    #[test]
-    fn no_tile_starves() {
-        let mut queue = Queue::new(20);
-        let mut longest = [0u32; 20];
-        let mut since = [None::<u32>; 20];
-        for frame in 0..400 {
-            // tile 0 rarely changes, and only slightly; all others change much in each frame
-            for tile in 0..20 {
-                if tile > 0 || frame % 40 == 0 {
-                    queue.add(tile, if tile == 0 { 1 } else { 1000 + u64::from(tile) });
-                    since[tile as usize].get_or_insert(frame);
-                }
-            }
-            for tile in queue.next(1, true) {
-                queue.done(tile, false);
-                if let Some(from) = since[tile as usize].take() {
-                    longest[tile as usize] = longest[tile as usize].max(frame - from);
-                }
-            }
-            queue.age();
-        }
-        // starving tiles go in order of arrival: a tile waits for each other tile once
-        assert!(longest.iter().all(|l| *l > 0 && *l <= MAX_WAIT + 20), "{longest:?}");
-        assert!(since.iter().flatten().all(|from| 400 - from <= MAX_WAIT + 20), "{since:?}");
+        queue.done(2, false);
+        assert_eq!((queue.next(9), queue.coarse()), (vec![0, 3, 6], 1));
     }
 }
