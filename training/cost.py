@@ -3,7 +3,8 @@
     python cost.py ../target/release/tmpi photo.jpg [--runs 5]
 
 Uses random weights (24.8 M, as many as published), so that nothing must be downloaded; time and memory do not depend on their values. Prints, for
-`tmpi make` with alternating networks: median wall and CPU time, peak memory, and the size of the file.
+`tmpi make` with alternating networks: median wall and CPU time, peak memory, and the size of the file. The embedded network runs as for photos, with the
+mirrored photo too, and as for rooms, without it.
 """
 
 import argparse
@@ -63,12 +64,13 @@ def main():
     warnings.filterwarnings("ignore")
     t.logging.set_verbosity_error()
     with tempfile.TemporaryDirectory() as folder:
-        networks = {"embedded": None, **files(folder)}
+        networks = {"photos": None, "rooms": None, **files(folder)}
         found = {name: [] for name in networks}
         for _ in range(a.runs):
             for name, file in networks.items():
                 model = "tmpi" if file is None else f"depth-anything-v2={file}"
-                found[name].append(run([a.program, "make", "--quiet", "--force", "--depth-model", model, "-o", f"{folder}/a.tmpi", a.photo]))
+                options = ["--depth-model", model, *(["--flip", "false"] if name == "rooms" else [])]
+                found[name].append(run([a.program, "make", "--quiet", "--force", *options, "-o", f"{folder}/a.tmpi", a.photo]))
         print(f"{'network':10} {'MB':>6} {'wall s':>7} {'CPU s':>12} {'peak MiB':>9}")
         for name, file in networks.items():
             wall, processor, peak = (statistics.median(v) for v in zip(*found[name]))

@@ -104,7 +104,7 @@ pub struct RoomLimits {
     /// Viewers of a room at this node.
     #[schemars(range(min = 1, max = 1_000_000))]
     pub viewers: usize,
-    /// Milliseconds that the geometry of a frame may take. If depth, planes or tiles take longer, there are fewer of them.
+    /// Milliseconds that the geometry of a frame should take. If it takes longer, depth runs at a smaller size or less often, and tiles get fewer planes.
     #[schemars(range(min = 1, max = 1000))]
     pub budget_ms: f64,
     /// Largest frame, and largest measured depth, in bytes.

@@ -40,8 +40,8 @@ pub struct Compare {
 /// The changed blocks of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Change {
-    /// Sum of the differences in each block, row by row; 0 if it is unchanged. At a cut, no block is unchanged.
-    pub blocks: Vec<u32>,
+    /// Whether each block changed, row by row. At a cut, all did.
+    pub blocks: Vec<bool>,
     /// Blocks per row.
     pub across: usize,
     /// The frame starts a new scene.
@@ -49,14 +49,14 @@ pub struct Change {
 }
 
 impl Change {
-    /// Whether each tile of a grid changed.
-    pub fn tiles(&self, grid: &Grid) -> Vec<bool> {
-        let tile = |t| {
-            let r = grid.rect(t);
+    /// Indices of the tiles of a grid that contain a changed block.
+    pub fn tiles(&self, grid: &Grid) -> Vec<u32> {
+        let is_changed = |t: &u32| {
+            let r = grid.rect(*t);
             let (columns, rows) = (r.x / BLOCK..(r.x + r.w).div_ceil(BLOCK), r.y / BLOCK..(r.y + r.h).div_ceil(BLOCK));
-            rows.flat_map(|y| columns.clone().map(move |x| (x, y))).any(|(x, y)| self.blocks[y as usize * self.across + x as usize] > 0)
+            rows.flat_map(|y| columns.clone().map(move |x| (x, y))).any(|(x, y)| self.blocks[y as usize * self.across + x as usize])
         };
-        (0..grid.tiles()).map(tile).collect()
+        (0..grid.tiles()).filter(is_changed).collect()
     }
 }
 
@@ -74,9 +74,9 @@ impl Compare {
         let before = std::mem::replace(&mut self.histogram, histogram);
         let Some(reference) = self.reference.as_mut().filter(|r| (r.width, r.height) == (photo.width, photo.height)) else {
             self.reference = Some(photo.clone());
-            return Change { blocks: vec![u32::MAX; count], across, cut: true };
+            return Change { blocks: vec![true; count], across, cut: true };
         };
-        let mut blocks = vec![0u32; count];
+        let mut blocks = vec![false; count];
         let width = photo.width as usize;
         let band = width * BLOCK as usize;
         for ((new, old), out) in photo.rgb.chunks(band).zip(reference.rgb.chunks_mut(band)).zip(blocks.chunks_mut(across)) {
@@ -85,26 +85,24 @@ impl Compare {
                 continue;
             }
             for (b, out) in out.iter_mut().enumerate() {
-                *out = compare(new, old, width, b * BLOCK as usize, self.tolerance);
+                *out = differs(new, old, width, b * BLOCK as usize, self.tolerance);
             }
         }
-        let changed = blocks.iter().filter(|b| **b > 0).count();
+        let changed = blocks.iter().filter(|b| **b).count();
         let moved: u64 = before.iter().zip(&histogram).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
         // each pixel that moves to another bin counts twice
         let cut = changed as f64 > CUT_BLOCKS * count as f64 && moved as f64 > 2.0 * CUT * photo.rgb.len() as f64;
         if cut {
             // blocks that happen to look the same change too: their depth and planes belong to the old scene
-            for block in &mut *blocks {
-                *block = (*block).max(1);
-            }
+            blocks.fill(true);
             self.reference = Some(photo.clone());
         }
         Change { blocks, across, cut }
     }
 }
 
-/// Sum of the differences in the block at column `x`, or 0 within the tolerance. If the block changed, copies it to the reference (`old`).
-fn compare(new: &[[u8; 3]], old: &mut [[u8; 3]], width: usize, x: usize, tolerance: Tolerance) -> u32 {
+/// Whether the block at column `x` differs by more than the tolerance. If so, copies it to the reference (`old`).
+fn differs(new: &[[u8; 3]], old: &mut [[u8; 3]], width: usize, x: usize, tolerance: Tolerance) -> bool {
     let end = (x + BLOCK as usize).min(width);
     let (mut sum, mut most) = (0u32, 0u8);
     for (new, old) in new.chunks(width).zip(old.chunks(width)) {
@@ -116,12 +114,12 @@ fn compare(new: &[[u8; 3]], old: &mut [[u8; 3]], width: usize, x: usize, toleran
     }
     let values = (end - x) * new.len() / width * 3;
     if most == 0 || (most <= tolerance.most && sum as f32 <= tolerance.mean * values as f32) {
-        return 0;
+        return false;
     }
     for (new, old) in new.chunks(width).zip(old.chunks_mut(width)) {
         old[x..end].copy_from_slice(&new[x..end]);
     }
-    sum
+    true
 }
 
 fn histogram(photo: &Photo) -> [u32; BINS] {
@@ -143,7 +141,7 @@ mod tests {
     }
 
     fn is_nothing(change: &Change) -> bool {
-        change.blocks.iter().all(|b| *b == 0)
+        !change.blocks.contains(&true)
     }
 
     fn photo(width: u32, height: u32, seed: u32) -> Photo {
@@ -167,11 +165,12 @@ mod tests {
             let change = compare.next(&second);
             let (x, y) = (at % w, at / w);
             let grid = Grid::new(w, h, 64);
-            for (t, changed) in (0..).zip(change.tiles(&grid)) {
+            let tiles = change.tiles(&grid);
+            for t in 0..grid.tiles() {
                 // at the picture's border, a tile may end within a block
                 let r = grid.rect(t);
                 let near = |from: u32, size: u32, p: u32| from / BLOCK <= p / BLOCK && p / BLOCK < (from + size).div_ceil(BLOCK);
-                prop_assert_eq!(changed, near(r.x, r.w, x) && near(r.y, r.h, y));
+                prop_assert_eq!(tiles.contains(&t), near(r.x, r.w, x) && near(r.y, r.h, y));
             }
             prop_assert!(is_nothing(&compare.next(&second)));
         }
@@ -219,8 +218,8 @@ mod tests {
         let mut other = clean.clone();
         (0..64).for_each(|i| other.rgb[i / 8 * 96 + i % 8] = clean.rgb[i / 8 * 96 + i % 8].map(|v| v ^ 16));
         let change = compare.next(&noisy(&other));
-        assert_eq!(change.blocks.iter().position(|b| *b > 0), Some(0));
-        assert_eq!(change.blocks.iter().filter(|b| **b > 0).count(), 1);
+        assert_eq!(change.blocks.iter().position(|b| *b), Some(0));
+        assert_eq!(change.blocks.iter().filter(|b| **b).count(), 1);
     }
 
     #[test]
@@ -230,7 +229,7 @@ mod tests {
         compare.next(&dark);
         let noisy = Photo { rgb: dark.rgb.iter().map(|p| p.map(|v| v + 1)).collect(), ..dark.clone() };
         let change = compare.next(&noisy);
-        assert!(!change.cut && change.blocks.iter().all(|b| *b > 0));
+        assert!(!change.cut && change.blocks.iter().all(|b| *b));
         let bright = Photo { rgb: dark.rgb.iter().map(|p| p.map(|v| v + 150)).collect(), ..dark };
         assert!(compare.next(&bright).cut);
     }
@@ -242,7 +241,7 @@ mod tests {
         let barred = |v: u8| Photo { width: 64, height: 64, rgb: (0..4096).map(|i| if i < 512 { [0; 3] } else { [v; 3] }).collect() };
         compare.next(&barred(40));
         let change = compare.next(&barred(200));
-        assert!(change.cut && change.blocks.iter().all(|b| *b > 0), "{:?}", change.blocks);
+        assert!(change.cut && change.blocks.iter().all(|b| *b), "{:?}", change.blocks);
         assert_eq!(compare.reference(), Some(&barred(200)));
         assert!(is_nothing(&compare.next(&barred(200))));
     }

@@ -25,21 +25,21 @@ impl Rechecks {
         Self { countdown: vec![0; blocks] }
     }
 
-    /// Records a frame's changes. Returns the blocks to recheck with this frame, each as a change by 1.
+    /// Records a frame's changes. Returns the blocks to recheck with this frame as changes.
     pub fn next(&mut self, change: &Change) -> Change {
-        let mut due = vec![0; self.countdown.len()];
+        let mut due = vec![false; self.countdown.len()];
         for (left, due) in self.countdown.iter_mut().zip(&mut due) {
-            *due = u32::from(*left == 1);
+            *due = *left == 1;
             *left = left.saturating_sub(1);
         }
         let (across, down) = (change.across, change.blocks.len() / change.across.max(1));
-        for (i, _) in change.blocks.iter().enumerate().filter(|(_, by)| **by > 0) {
+        for (i, _) in change.blocks.iter().enumerate().filter(|(_, is_changed)| **is_changed) {
             let (x, y) = (i % across, i / across);
             let columns = x.saturating_sub(RADIUS)..(x + RADIUS + 1).min(across);
             for row in y.saturating_sub(RADIUS)..(y + RADIUS + 1).min(down) {
                 let blocks = row * across + columns.start..row * across + columns.end;
                 self.countdown[blocks.clone()].fill(FRAMES);
-                due[blocks].fill(0);
+                due[blocks].fill(false);
             }
         }
         Change { blocks: due, across, cut: false }
@@ -53,15 +53,15 @@ mod tests {
     const ACROSS: usize = 9;
 
     fn changed(blocks: &[usize]) -> Change {
-        let mut all = vec![0; ACROSS * 7];
+        let mut all = vec![false; ACROSS * 7];
         for i in blocks {
-            all[*i] = 5;
+            all[*i] = true;
         }
         Change { blocks: all, across: ACROSS, cut: false }
     }
 
     fn due(rechecks: &mut Rechecks, blocks: &[usize]) -> Vec<usize> {
-        rechecks.next(&changed(blocks)).blocks.iter().enumerate().filter(|(_, by)| **by > 0).map(|(i, _)| i).collect()
+        rechecks.next(&changed(blocks)).blocks.iter().enumerate().filter(|(_, is_due)| **is_due).map(|(i, _)| i).collect()
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Time budget for a frame's geometry, and the choices that keep to it.
+//! Time budget for a frame's geometry, and the choices that aim at it.
 //!
 //! All choices follow from unit costs measured on earlier frames of the room: of a pixel of the depth network's input, of depth's overhead
 //! beside the network, and of a tile with its planes. With enough time, everything is done at once at full quality.
@@ -40,13 +40,13 @@ impl Cost {
     }
 }
 
-/// How many tiles and planes fit into a frame's time.
+/// How many planes fit into a frame's time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TileBudget {
-    /// Tiles for which there is time; at least one. Changed tiles get planes even if they are more.
-    pub tiles: usize,
     /// Maximum number of planes per tile; `None`: as many as it needs.
     pub planes: Option<u32>,
+    /// Coarse tiles for which there is time besides; 0 if the number of planes is limited.
+    pub spare: usize,
 }
 
 /// Time budget of a frame's geometry, with the costs measured so far.
@@ -120,8 +120,8 @@ impl Budget {
         self.overhead.record(ms - network_ms);
     }
 
-    /// Decides how many planes the `waiting` tiles get, and how many tiles fit into the rest of the frame: as many planes as they need, up to
-    /// `most`, if all fit then; otherwise fewer. `most` is `None` if the number of planes is fixed.
+    /// Decides how many planes the `waiting` tiles get in the rest of the frame: as many as they need, up to `most`, if that fits; otherwise
+    /// the largest limit that fits, or the smallest. `most` is `None` if the number of planes is fixed.
     pub fn tiles(&self, waiting: usize, most: Option<u32>) -> TileBudget {
         // a smaller network size saves time for a larger one, not for tiles; otherwise more time could mean fewer tiles
         let depth = if self.size.1 { f64::INFINITY } else { self.depth_ms(self.size.0) };
@@ -130,14 +130,13 @@ impl Budget {
             ms if ms > 0.0 && left.is_finite() => ((left / ms) as usize).max(1),
             _ => usize::MAX,
         };
-        let mut share = TileBudget { tiles: fit(most.unwrap_or(u32::MAX)), planes: None };
-        for planes in PLANE_LIMITS.into_iter().filter(|p| most.is_some_and(|most| *p < most)) {
-            if share.tiles >= waiting {
-                break;
-            }
-            share = TileBudget { tiles: fit(planes), planes: Some(planes) };
+        let free = fit(most.unwrap_or(u32::MAX));
+        let mut limits = PLANE_LIMITS.into_iter().filter(|p| most.is_some_and(|most| *p < most));
+        if free >= waiting {
+            return TileBudget { planes: None, spare: free - waiting };
         }
-        share
+        let planes = limits.clone().find(|planes| fit(*planes) >= waiting).or_else(|| limits.next_back());
+        TileBudget { planes, spare: 0 }
     }
 
     /// Expected milliseconds of a tile with at most this many planes.

@@ -68,7 +68,7 @@ pub struct Settings {
     /// After a frame whose tiles were sent, no tiles are placed or sent for this long; changes wait for a later frame. Does not apply to
     /// measured depth: its tiles are few, and accurate enough that lateness would be visible.
     pub cooldown: Duration,
-    /// Milliseconds that the geometry of a frame may take ([`Budget`]); 0: no limit.
+    /// Milliseconds that the geometry of a frame should take ([`Budget`]); 0: no limit.
     pub frame_ms: f64,
 }
 
@@ -144,7 +144,8 @@ pub struct FramePipeline {
 
 /// State since the last cut.
 struct State {
-    /// Each tile as last sent, or without planes before the first depth. Tiles that are not sent do not change here either, so that errors do not accumulate.
+    /// Each tile as last sent; without planes before the first depth. Tiles that are not sent do not change here either, so that errors do
+    /// not accumulate.
     geometry: core::Geometry,
     /// Depth of all pixels is known.
     has_depth: bool,
@@ -181,7 +182,7 @@ impl FramePipeline {
         Self { models, settings, limits: Limits::default(), budget, compare, planes: WarmStart::default(), state: None }
     }
 
-    /// All tiles as a reader of every chunk has them. `None` until every tile has planes.
+    /// All tiles as a reader of every chunk has them. `None` before the first depth, and after a cut whose geometry failed.
     pub fn geometry(&self) -> Option<&core::Geometry> {
         let geometry = self.state.as_ref().map(|state| &state.geometry);
         geometry.filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
@@ -204,7 +205,7 @@ impl FramePipeline {
     /// Processes a frame and returns what it changed.
     ///
     /// # Errors
-    /// [`GeometryError`]. The geometry is then unchanged, and the next frame includes this frame's changes.
+    /// [`GeometryError`]. No tiles are sent then, and the next frame includes this frame's changes.
     pub fn next(&mut self, frame: &Frame) -> Result<Update, GeometryError> {
         if let Some(d) = frame.depth.as_ref().filter(|d| (d.width, d.height) != (frame.photo.width, frame.photo.height)) {
             return Err(GeometryError::Depth(d.width, d.height, frame.photo.width, frame.photo.height));
@@ -252,7 +253,7 @@ impl FramePipeline {
         if !cooling_down && !state.stale.contains(&true) {
             let most = (options.planes == PlaneCount::Auto).then_some(MAX_AUTO_PLANES);
             let share = self.budget.tiles(state.queue.waiting(), most);
-            let chosen_tiles = state.queue.next(share.tiles);
+            let chosen_tiles = state.queue.next(share.spare);
             if !chosen_tiles.is_empty() {
                 let before = Instant::now();
                 let counts = state.place(&mut job, &mut self.planes, (&chosen_tiles, share, self.settings.parallax), &mut update)?;
@@ -309,10 +310,10 @@ impl State {
 
     /// Marks changed blocks as stale and queues changed tiles.
     fn record_change(&mut self, change: &Change, grid: &Grid, changed: &mut Vec<u32>) {
-        for (stale, by) in self.stale.iter_mut().zip(&change.blocks) {
-            *stale |= *by > 0;
+        for (stale, is_changed) in self.stale.iter_mut().zip(&change.blocks) {
+            *stale |= is_changed;
         }
-        for (t, _) in (0..).zip(change.tiles(grid)).filter(|(_, is_changed)| *is_changed) {
+        for t in change.tiles(grid) {
             self.queue.add(t);
             changed.push(t);
         }

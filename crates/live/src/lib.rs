@@ -14,10 +14,9 @@
 //!    camera in the view box, the tile is not sent and the room keeps the old one, so that it always has the tiles that its readers have.
 //! 6. The other tiles are encoded as chunks ([`tmpi_core::live::chunk`]).
 //!
-//! [`FramePipeline`] keeps all this within a time [`Budget`], based on earlier measurements: if frames are late, the depth network runs at
-//! a smaller size, tiles get fewer planes, and tiles that still do not fit wait for the next frame. The most changed tiles go first, and no
-//! tile waits forever. After a frame whose tiles were sent, there is a short cooldown ([`Settings::cooldown`]); changes during it are sent
-//! after it.
+//! [`FramePipeline`] aims at a time [`Budget`], based on earlier measurements: if frames are late, the depth network runs at a smaller size
+//! or less often, and tiles get fewer planes. The changed tiles of a frame always go together. After a frame whose tiles were sent, there is
+//! a short cooldown ([`Settings::cooldown`]); changes during it are sent after it.
 //!
 //! [`video`] and [`depth_codec`] decode what publishers send, and [`access_units`] splits their streams. This crate does no I/O and never
 //! blocks.

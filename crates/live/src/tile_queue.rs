@@ -40,12 +40,12 @@ impl Queue {
         self.tiles[tile as usize].changed = true;
     }
 
-    /// The next tiles: all that changed, because an object is torn if some of its tiles are from another frame than the others. Coarse tiles
-    /// follow as long as there are no more than `most` in all.
-    pub fn next(&self, most: usize) -> Vec<u32> {
+    /// The next tiles: all that changed, because an object is torn if some of its tiles are from another frame than the others; then `spare`
+    /// coarse ones.
+    pub fn next(&self, spare: usize) -> Vec<u32> {
         let of = |is: fn(&Waiting) -> bool| (0..).zip(&self.tiles).filter(move |(_, w)| is(w)).map(|(t, _)| t);
         let mut next: Vec<u32> = of(|w| w.changed).collect();
-        next.extend(of(|w| w.coarse && !w.changed).take(most.saturating_sub(next.len())));
+        next.extend(of(|w| w.coarse && !w.changed).take(spare));
         next
     }
 
@@ -62,10 +62,14 @@ mod tests {
     #[test]
     fn changed_tiles_go_together_and_coarse_ones_follow_if_there_is_time() {
         let mut queue = Queue::new(7);
-        [0, 2, 3].into_iter().for_each(|tile| queue.add(tile));
-        [5, 6].into_iter().for_each(|tile| queue.done(tile, true));
+        for tile in [0, 2, 3] {
+            queue.add(tile);
+        }
+        for tile in [5, 6] {
+            queue.done(tile, true);
+        }
         assert_eq!((queue.waiting(), queue.coarse(), queue.waits(2), queue.waits(5)), (3, 2, true, false));
-        assert_eq!([0, 2, 4, 9].map(|most| queue.next(most)), [vec![0, 2, 3], vec![0, 2, 3], vec![0, 2, 3, 5], vec![0, 2, 3, 5, 6]]);
+        assert_eq!([0, 1, 9].map(|spare| queue.next(spare)), [vec![0, 2, 3], vec![0, 2, 3, 5], vec![0, 2, 3, 5, 6]]);
         queue.done(5, false);
         queue.done(2, false);
         assert_eq!((queue.next(9), queue.coarse()), (vec![0, 3, 6], 1));

@@ -24,7 +24,7 @@ export function tornRows(pixels, width, height) {
   for (let y = top; y < bottom; y++) {
     const red = [];
     for (let x = 0; x < width; x++) if (pixels[(y * width + x) * 4] - pixels[(y * width + x) * 4 + 2] > RED) red.push(x);
-    if (red.length < width / 8) continue;
+    if (red.length < width / 8) continue; // not the box
     edges[0].push([y, red[0]]);
     edges[1].push([y, red.at(-1)]);
   }

@@ -22,8 +22,8 @@ pub(super) struct LiveBenchArgs {
     /// H.264 bits per second; may be several. Default: that of the publishing page, 384 kbit/s at 320×240 and more for larger frames
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
     bitrate: Vec<u32>,
-    /// Milliseconds that the geometry of a frame may take; may be several. Sets depth size, planes and tiles by earlier measurements. 0: no
-    /// limit. Default: that of the server's rooms
+    /// Milliseconds that the geometry of a frame should take; may be several. Sets how large and how frequent depth is, and the number of
+    /// planes, by earlier measurements. 0: no limit. Default: that of the server's rooms
     #[arg(long, value_delimiter = ',', default_values_t = [tmpi_live::BUDGET_MS], value_parser = live::not_negative, value_name = "MS,…")]
     budget_ms: Vec<f64>,
     /// Write plots of error against run time and bytes to this file, if several points are measured

@@ -46,7 +46,7 @@ impl Machine {
             budget.depth_took(self.depth(i), self.network(i));
         }
         let share = budget.tiles(waiting, Some(6));
-        let planes: Vec<usize> = (0..waiting.min(share.tiles)).map(|t| Self::planes(t, share.planes)).collect();
+        let planes: Vec<usize> = (0..waiting).map(|t| Self::planes(t, share.planes)).collect();
         let ms = self.tiles(&planes);
         budget.tiles_took(&planes, share.planes.is_none(), ms);
         (size, share, size.map_or(0.0, |i| self.depth(i)), ms)
@@ -64,28 +64,29 @@ fn measured(frame_ms: f64, load: f64, frames: usize) -> Budget {
 
 #[test]
 fn with_enough_time_nothing_is_limited() {
-    let all = TileBudget { tiles: usize::MAX, planes: None };
+    let all = TileBudget { planes: None, spare: usize::MAX - 1_000_000 };
     for frame_ms in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let mut budget = measured(frame_ms, 100.0, 20);
         assert_eq!((budget.depth(&SIZES, false), budget.tiles(1_000_000, Some(6))), (Some(0), all), "{frame_ms}");
     }
     let mut budget = measured(1e4, 1.0, 20);
     assert_eq!(budget.depth(&SIZES, false), Some(0));
-    assert!(budget.tiles(500, Some(6)).tiles > 500 && budget.tiles(500, Some(6)).planes.is_none());
+    assert!(budget.tiles(500, Some(6)).spare > 0 && budget.tiles(500, Some(6)).planes.is_none());
     // before the first frame there are no measurements
     let mut first = Budget::new(1.0);
     assert_eq!((first.depth(&SIZES, false), first.tiles(1_000_000, Some(6))), (Some(0), all));
 }
 
 #[test]
-fn choices_keep_to_the_budget() {
+fn depth_keeps_to_the_budget_and_tiles_do_if_two_planes_fit() {
     for frame_ms in [8.0, 10.0, 16.0, 21.0, 30.0, 45.0, 80.0] {
         let (mut budget, machine) = (measured(frame_ms, 1.0, 40), Machine { load: 1.0 });
         for _ in 0..20 {
             let (_, share, depth, tiles) = machine.frame(&mut budget, 36);
-            // one of the few tiles that fit may need six planes
             let left = frame_ms - depth.min(DEPTH_SHARE * frame_ms);
-            assert!(depth < SIZE_OVERRUN * DEPTH_SHARE * frame_ms && tiles <= left + 1.5, "{frame_ms}: {depth} and {tiles}, {share:?}");
+            let fewest: Vec<usize> = (0..36).map(|t| Machine::planes(t, Some(2))).collect();
+            assert!(depth < SIZE_OVERRUN * DEPTH_SHARE * frame_ms, "{frame_ms}: {depth}");
+            assert!(tiles <= left.max(machine.tiles(&fewest)) + 1.5, "{frame_ms}: {tiles}, {share:?}");
         }
     }
 }
@@ -112,12 +113,12 @@ fn load_reduces_depth_size_and_planes_until_it_ends() {
     let run = |budget: &mut Budget, load: f64| {
         let mut last = None;
         (0..60).for_each(|_| last = Some(Machine { load }.frame(budget, 36)));
-        last.map(|(size, share, ..)| (size, share.planes, share.tiles >= 36))
+        last.map(|(size, share, ..)| (size, share.planes))
     };
     let idle = run(&mut budget, 1.0);
-    assert_eq!(idle, Some((Some(0), None, true)));
-    let (size, planes, all) = run(&mut budget, 3.0).unwrap_or_default();
-    assert!(size.is_none_or(|i| i > 0) && planes == Some(2) && !all, "{size:?} {planes:?} {all}");
+    assert_eq!(idle, Some((Some(0), None)));
+    let (size, planes) = run(&mut budget, 3.0).unwrap_or_default();
+    assert!(size.is_none_or(|i| i > 0) && planes == Some(2), "{size:?} {planes:?}");
     assert_eq!(run(&mut budget, 1.0), idle);
 }
 
@@ -152,10 +153,11 @@ fn invalid_times_are_ignored() {
         free.depth_took(0.0, 0.0);
         free.tiles_took(&[6; 9], true, 0.0);
     });
-    assert_eq!((free.depth(&SIZES, false), free.tiles(1000, Some(6))), (Some(0), TileBudget { tiles: usize::MAX, planes: None }));
-    // one tile is always placed
+    assert_eq!((free.depth(&SIZES, false), free.tiles(1000, Some(6))), (Some(0), TileBudget { planes: None, spare: usize::MAX - 1000 }));
     let mut slow = measured(1e-6, 1e6, 5);
-    assert_eq!(slow.tiles(36, Some(6)), TileBudget { tiles: 1, planes: Some(2) });
+    assert_eq!(slow.tiles(36, Some(6)), TileBudget { planes: Some(2), spare: 0 });
+    // coarse tiles finish, one a frame
+    assert_eq!(slow.tiles(0, Some(6)), TileBudget { planes: None, spare: 1 });
     assert!((0..3).all(|_| slow.depth(&SIZES, true) == Some(3)));
 }
 
@@ -167,7 +169,7 @@ fn a_fixed_number_of_planes_is_never_reduced() {
 }
 
 proptest! {
-    /// At the same costs, more time never yields a smaller size, fewer planes or fewer tiles.
+    /// At the same costs, more time never yields a smaller size, fewer planes or fewer spare tiles, and limited planes leave none.
     #[test]
     fn more_time_never_yields_less(load in 0.05f64..20.0, less in 0.5f64..200.0, more in 0.0f64..200.0, waiting in 1usize..300, at in 0usize..4) {
         let mut known = measured(f64::INFINITY, load, 20);
@@ -179,8 +181,8 @@ proptest! {
         };
         let (a, b) = (chosen(less), chosen(less + more));
         prop_assert!(b.0 <= a.0, "{a:?} {b:?}");
-        let rank = |s: TileBudget| (s.planes.unwrap_or(6), s.tiles.min(waiting));
-        prop_assert!(rank(b.1).0 >= rank(a.1).0 && rank(b.1).1 >= rank(a.1).1, "{a:?} {b:?}");
-        prop_assert!(a.1.tiles > 0);
+        let planes = |s: TileBudget| s.planes.unwrap_or(6);
+        prop_assert!(planes(b.1) >= planes(a.1) && b.1.spare >= a.1.spare, "{a:?} {b:?}");
+        prop_assert!(a.1.planes.is_none() || a.1.spare == 0);
     }
 }
