@@ -38,11 +38,11 @@ pub const COOLDOWN: Duration = Duration::from_millis(80);
 /// this value needs less than half the bytes and flickers less, and views of estimated depth are equally good.
 pub const MAX_ERROR: f64 = 3.5;
 
-/// Default budget of a frame's geometry, in milliseconds. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3, 13.1
-/// and 17.5 ms of CPU time a frame; views of 23.4, 23.3, 23.4 and 23.3 dB; flicker 0.070, 0.064, 0.054 and 0.080 levels; edges 2.1, 2.2, 2.1
-/// and 2.2 pixels short. At 640×480, 12, 20, 30 and 45 ms (`--size 640x480 --frames 120`) have edges 2.2, 1.6, 1.6 and 1.7 pixels short.
-/// With 20 ms instead of 45, frames arrive sooner if everything shares two cores (`glass-to-glass.mjs`: median 36 ms, not 112; 29.8 frames a
-/// second, not 24), but moving objects are torn more often at 640×480 (`tears.mjs`).
+/// Default budget of a frame's geometry, in milliseconds. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 7.8, 9.3, 13.0
+/// and 17.2 ms of CPU time a frame; views of 19.2, 19.3, 19.4 and 19.5 dB; flicker 0.32, 0.31, 0.27 and 0.27 levels. At 640×480, 12, 20, 30
+/// and 45 ms (`--size 640x480 --frames 120`) have views of 18.2, 18.5, 18.5 and 18.7 dB, and edges 1.5, 1.3, 1.4 and 1.3 pixels short. With
+/// 20 ms instead of 45, frames arrive sooner if everything shares two cores (`glass-to-glass.mjs`: median 36 ms, not 112; 29.8 frames a second,
+/// not 24).
 pub const BUDGET_MS: f64 = 20.0;
 
 /// Factor on that error for measured depth: planes are then few, and the largest source of error in views.
