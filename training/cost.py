@@ -69,7 +69,7 @@ def main():
         for _ in range(a.runs):
             for name, file in networks.items():
                 model = "tmpi" if file is None else f"depth-anything-v2={file}"
-                options = ["--depth-model", model, *(["--flip", "false"] if name == "rooms" else [])]
+                options = ["--depth-model", model, *(["--flip=false"] if name == "rooms" else [])]
                 found[name].append(run([a.program, "make", "--quiet", "--force", *options, "-o", f"{folder}/a.tmpi", a.photo]))
         print(f"{'network':10} {'MB':>6} {'wall s':>7} {'CPU s':>12} {'peak MiB':>9}")
         for name, file in networks.items():
