@@ -40,9 +40,9 @@ pub const MAX_ERROR: f64 = 3.5;
 
 /// Default budget of a frame's geometry, in milliseconds. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 7.8, 9.3, 13.0
 /// and 17.2 ms of CPU time a frame; views of 19.2, 19.3, 19.4 and 19.5 dB; flicker 0.32, 0.31, 0.27 and 0.27 levels. At 640×480, 12, 20, 30
-/// and 45 ms (`--size 640x480 --frames 120`) have views of 18.2, 18.5, 18.5 and 18.7 dB, and edges 1.5, 1.3, 1.4 and 1.3 pixels short. With
-/// 20 ms instead of 45, frames arrive sooner if everything shares two cores (`glass-to-glass.mjs`: median 36 ms, not 112; 29.8 frames a second,
-/// not 24).
+/// and 45 ms (`--size 640x480 --frames 120`) have views of 18.2, 18.5, 18.5 and 18.7 dB, and edges 1.5, 1.3, 1.4 and 1.3 pixels short. If
+/// everything shares two cores (`glass-to-glass.mjs`, with `live.budget-ms`), 20, 30 and 45 ms have a median of 50, 57 and 76 ms from camera to
+/// screen.
 pub const BUDGET_MS: f64 = 20.0;
 
 /// Factor on that error for measured depth: planes are then few, and the largest source of error in views.
