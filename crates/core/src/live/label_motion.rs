@@ -5,26 +5,27 @@
 //! position predicted from its last motion, and moves its labels along, into neighbouring tiles as well. `tmpi-lab live-bench --only
 //! measured --late N` measures the benefit. This needs no data from the server and leaves no trace: received labels are shown as they are.
 
+use std::cmp::Reverse;
 use std::time::Duration;
 
-use super::MAX_PLANES;
+use super::moved_tile::Labels;
 use crate::layers::{Dilation, Surface, dilate};
 use crate::scene::packed_rgb::difference;
 use crate::simd::dispatch;
-use crate::{Geometry, Plane, Rect, Tile, TileFrame, grown};
+use crate::{Geometry, Rect, Tile, grown};
 
 /// Search range for the motion of an object, in pixels to each side.
 const REACH: i32 = 12;
 /// Range of the dense search around no motion and around each predicted motion. The rest of the range is searched at every second pixel.
 const DENSE_REACH: i32 = 3;
 /// Maximum predicted motion along each axis, in pixels.
-const MAX_PREDICTED: i32 = 48;
+const MAX_PREDICTED: i32 = 96;
 /// Difference in levels, summed over the channels, above which a pixel has changed; more than the noise of video.
 const COLOUR_STEP: u32 = 30;
 /// Cap on the difference of one pixel, because covered and uncovered pixels have no counterpart.
 const MAX_DIFFERENCE: u32 = 120;
 /// Difference in δ from which one object lies in front of another.
-const DEPTH_STEP: f32 = 0.05;
+pub(super) const DEPTH_STEP: f32 = 0.05;
 /// Maximum number of an object's pixels that vote on its motion.
 const VOTERS: usize = 300;
 /// Maximum number of voters in the first pass, over all candidate motions.
@@ -35,8 +36,11 @@ const VOTERS_AT_ONCE: usize = 12;
 const MIN_CHANGED: usize = 12;
 /// A motion is accepted only if it reduces the difference to less than this share.
 const MAX_REMAINING: f64 = 0.7;
-/// Minimum number of pixels on none of their tile's planes for which the tile gets a new plane; fewer are as often noise of depth.
-const MIN_UNPLACED: usize = 40;
+
+/// Number of a group's motions that are tried as its common one, the most frequent first.
+const TRIED: usize = 16;
+/// A tile takes the motion of its group if that leaves at most this many times the difference that its own leaves.
+const AGREE: f64 = 2.0;
 
 /// Motion of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,6 +59,24 @@ impl MotionVector {
         let far = |pixels: i32| (f64::from(pixels) * share).round().clamp(f64::from(-MAX_PREDICTED), f64::from(MAX_PREDICTED)) as i32;
         (far(self.x), far(self.y))
     }
+}
+
+/// A changed pixel of an object.
+#[derive(Clone, Copy, Debug)]
+struct Voter {
+    x: i32,
+    y: i32,
+    delta: f32,
+}
+
+/// Motion of the nearer objects of a tile.
+#[derive(Default)]
+struct TileMotion {
+    /// Pixels that vote on it: a few, and more. Empty if too few have changed.
+    first: Vec<Voter>,
+    voters: Vec<Voter>,
+    /// Pixels to the right and down; `None` if they did not move or were not found.
+    vector: Option<(i32, i32)>,
 }
 
 /// Two frames; the tiles belong to the first.
@@ -84,61 +106,78 @@ impl<'a> MotionSearch<'a> {
         Self { geometry, time, delta: surface.all(), was, now, changed, near_change }
     }
 
-    /// Motion of the nearer objects of a tile; `None` if they did not move. Also searches around the positions predicted from the motions
-    /// `before` of this tile and its neighbours.
-    pub fn vector(&self, index: u32, before: &[Option<MotionVector>]) -> Option<MotionVector> {
-        let grid = &self.geometry.grid;
-        let (columns, rows) = (grid.columns(), grid.rows());
-        let around = |at: u32, most: u32| at.saturating_sub(1)..=(at + 1).min(most - 1);
-        let mut guesses = Vec::new();
-        for row in around(index / columns, rows) {
-            for vector in around(index % columns, columns).filter_map(|column| before.get((row * columns + column) as usize)?.as_ref()) {
-                let guess = vector.within(self.time);
-                // adjacent positions are within its search range
-                if guesses.iter().all(|g: &(i32, i32)| (g.0 - guess.0).abs().max((g.1 - guess.1).abs()) > 1) {
-                    guesses.push(guess);
+    /// Motion of the nearer objects of each tile; `None` where they did not move. Also searches around the positions predicted from the
+    /// motions `before`. Adjacent tiles with moving objects agree on one motion where it explains their pixels about as well as their own,
+    /// because an object is torn where its tiles move apart.
+    pub fn vectors(&self, before: &[Option<MotionVector>]) -> Vec<Option<MotionVector>> {
+        let mut found: Vec<TileMotion> = (0..self.geometry.grid.tiles()).map(|t| self.of_tile(t, before)).collect();
+        self.agree(&mut found);
+        let vector = |(x, y): (i32, i32)| MotionVector { x, y, time: self.time };
+        found.into_iter().map(|tile| tile.vector.map(vector)).collect()
+    }
+
+    /// Tiles around a tile, and the tile itself.
+    fn around(&self, index: u32) -> impl Iterator<Item = usize> + use<> {
+        let (columns, rows) = (self.geometry.grid.columns(), self.geometry.grid.rows());
+        let side = |at: u32, most: u32| at.saturating_sub(1)..(at + 2).min(most);
+        let across = side(index % columns, columns);
+        side(index / columns, rows).flat_map(move |row| across.clone().map(move |column| (row * columns + column) as usize))
+    }
+
+    /// Gives the tiles of each group the motion that explains the whole group best, unless their own explains them much better.
+    fn agree(&self, found: &mut [TileMotion]) {
+        for group in self.groups(found) {
+            let cost_of = |vector: &(i32, i32)| -> u32 { group.iter().map(|t| self.cost(&found[*t].first, *vector, u32::MAX)).sum() };
+            let Some(common) = commonest(group.iter().filter_map(|t| found[*t].vector)).into_iter().min_by_key(cost_of) else { continue };
+            for t in group {
+                let tile = &mut found[t];
+                let own = f64::from(self.cost(&tile.voters, tile.vector.unwrap_or_default(), u32::MAX));
+                if f64::from(self.cost(&tile.voters, common, u32::MAX)) <= AGREE * own {
+                    tile.vector = Some(common);
                 }
+            }
+        }
+    }
+
+    /// Groups of adjacent tiles in which objects change.
+    fn groups(&self, found: &[TileMotion]) -> Vec<Vec<usize>> {
+        let mut grouped: Vec<bool> = found.iter().map(|tile| tile.voters.is_empty()).collect();
+        let mut groups = Vec::new();
+        for first in 0..found.len() {
+            if std::mem::replace(&mut grouped[first], true) {
+                continue;
+            }
+            let (mut group, mut done) = (vec![first], 0);
+            while let Some(&tile) = group.get(done) {
+                group.extend(self.around(tile as u32).filter(|other| !std::mem::replace(&mut grouped[*other], true)));
+                done += 1;
+            }
+            groups.push(group);
+        }
+        groups
+    }
+
+    /// Motion of the nearer objects of a tile.
+    fn of_tile(&self, index: u32, before: &[Option<MotionVector>]) -> TileMotion {
+        let grid = &self.geometry.grid;
+        let mut guesses = Vec::new();
+        for vector in self.around(index).filter_map(|t| before.get(t)?.as_ref()) {
+            let guess = vector.within(self.time);
+            // adjacent positions are within its search range
+            if guesses.iter().all(|g: &(i32, i32)| (g.0 - guess.0).abs().max((g.1 - guess.1).abs()) > 1) {
+                guesses.push(guess);
             }
         }
         let reach = |of: fn(&(i32, i32)) -> i32| guesses.iter().map(|g| of(g).abs() + DENSE_REACH).fold(REACH, i32::max) as u32;
         let part = grown(grid.rect(index), reach(|g| g.0), reach(|g| g.1), grid);
-        self.search(part, &guesses).map(|(x, y)| MotionVector { x, y, time: self.time })
+        self.search(part, &guesses)
     }
 
-    /// The tile in the second frame, from the motion of its nearer objects; `None` if it does not change. If something enters from a
-    /// neighbouring tile and lies on none of this tile's planes, the tile gets a fronto-parallel plane for it.
-    pub fn moved(&self, index: u32, MotionVector { x: dx, y: dy, .. }: MotionVector) -> Option<Tile> {
-        let (grid, tile) = (&self.geometry.grid, self.geometry.tiles.get(index as usize)?);
-        let rect = grid.rect(index);
-        let place = TileFrame::of(grid, index);
-        let mut moved = tile.clone();
-        // pixels that match no plane, and the δ that moves there: nearer and farther than what the tile shows there
-        let mut unplaced = [Vec::new(), Vec::new()];
-        let pixels = (rect.y..rect.y + rect.h).flat_map(|y| (rect.x..rect.x + rect.w).map(move |x| (x, y)));
-        for (i, (x, y)) in pixels.enumerate() {
-            let here = (y * grid.width + x) as usize;
-            if self.near_change.out[here] == 0 {
-                continue;
-            }
-            // what enters from outside the frame continues the frame's border
-            let side = |at: u32, d: i32, most: u32| (at as i32 - d).clamp(0, most as i32 - 1) as u32;
-            let from = (side(y, dy, grid.height) * grid.width + side(x, dx, grid.width)) as usize;
-            let (shown, comes) = (self.delta[here], self.delta[from]);
-            if (comes - shown).abs() <= DEPTH_STEP {
-                continue;
-            }
-            let off = |l: usize| (place.disparity(&tile.planes[l], x, y) - comes).abs();
-            let best = (0..tile.planes.len()).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or_default();
-            if off(best) < 0.5 * (comes - shown).abs() {
-                moved.labels[i] = best as u8;
-            } else {
-                unplaced[usize::from(comes < shown)].push((i, comes));
-            }
-        }
-        for unplaced in unplaced.iter().filter(|h| h.len() >= MIN_UNPLACED) {
-            add_plane(&mut moved, unplaced);
-        }
-        (moved != *tile).then_some(moved)
+    /// The tile in the second frame, from the motion of its nearer objects; `None` if it does not change. If something enters that lies on
+    /// none of this tile's planes, the tile gets the plane that it comes from.
+    pub fn moved(&self, index: u32, vector: MotionVector) -> Option<Tile> {
+        let Self { geometry, delta, now, .. } = *self;
+        Labels { geometry, delta, now, near_change: &self.near_change.out }.moved(index, (vector.x, vector.y))
     }
 
     /// Index of a pixel in the frames; `None` outside.
@@ -147,8 +186,8 @@ impl<'a> MotionSearch<'a> {
         ((0..w).contains(&x) && (0..h).contains(&y)).then_some((y * w + x) as usize)
     }
 
-    /// Motion of the nearer objects in a part of the frame, in pixels to the right and down. `None` if they did not move or were not found.
-    fn search(&self, part: Rect, guesses: &[(i32, i32)]) -> Option<(i32, i32)> {
+    /// Motion of the nearer objects in a part of the frame.
+    fn search(&self, part: Rect, guesses: &[(i32, i32)]) -> TileMotion {
         let width = self.geometry.grid.width;
         let mut changed = Vec::new();
         for y in part.y..part.y + part.h {
@@ -158,39 +197,22 @@ impl<'a> MotionSearch<'a> {
                 continue;
             }
             let row = (part.x..).zip(row).filter(|(_, c)| **c != 0);
-            changed.extend(row.map(|(x, _)| (x as i32, y as i32, self.delta[(y * width + x) as usize])));
+            changed.extend(row.map(|(x, _)| Voter { x: x as i32, y: y as i32, delta: self.delta[(y * width + x) as usize] }));
         }
-        let far = changed.iter().map(|p| p.2).fold(f32::INFINITY, f32::min);
-        changed.retain(|p| p.2 > far + DEPTH_STEP);
+        let far = changed.iter().map(|p| p.delta).fold(f32::INFINITY, f32::min);
+        changed.retain(|p| p.delta > far + DEPTH_STEP);
         if changed.len() < MIN_CHANGED {
-            return None;
+            return TileMotion::default();
         }
         let some = |most: usize| changed.iter().step_by(changed.len().div_ceil(most)).copied().collect::<Vec<_>>();
-        // prefers the shorter of equally good motions; stops counting once the cost reaches `enough`
-        let cost = |voters: &[(i32, i32, f32)], (dx, dy): (i32, i32), enough: u32| -> u32 {
-            let left = |&(x, y, _): &(i32, i32, f32)| {
-                let to = self.at(x + dx, y + dy);
-                to.map_or(MAX_DIFFERENCE, |to| {
-                    difference(self.was[y as usize * width as usize + x as usize], self.now[to]).min(MAX_DIFFERENCE)
-                })
-            };
-            let mut sum = (dx * dx + dy * dy) as u32;
-            for some in voters.chunks(VOTERS_AT_ONCE) {
-                sum += some.iter().map(left).sum::<u32>();
-                if sum >= enough {
-                    break;
-                }
-            }
-            sum
-        };
         let square = |(x, y): (i32, i32), reach: i32, step: usize| {
             let side = move || (-reach..=reach).step_by(step);
             side().flat_map(move |dy| side().map(move |dx| (x + dx, y + dy)))
         };
-        let least = |voters: &[(i32, i32, f32)], motion_vectors: &mut dyn Iterator<Item = (i32, i32)>| {
+        let least = |voters: &[Voter], motion_vectors: &mut dyn Iterator<Item = (i32, i32)>| {
             let (mut best, mut best_cost) = ((0, 0), u32::MAX);
             for vector in motion_vectors {
-                let vector_cost = cost(voters, vector, best_cost);
+                let vector_cost = self.cost(voters, vector, best_cost);
                 if vector_cost < best_cost {
                     (best, best_cost) = (vector, vector_cost);
                 }
@@ -198,28 +220,40 @@ impl<'a> MotionSearch<'a> {
             best
         };
         let guessed = guesses.iter().flat_map(|guess| square(*guess, DENSE_REACH, 1));
-        let about = least(&some(FIRST_VOTERS), &mut guessed.chain(square((0, 0), REACH, 2)).chain(square((0, 0), DENSE_REACH, 1)));
-        let voters = some(VOTERS);
+        let (first, voters) = (some(FIRST_VOTERS), some(VOTERS));
+        let about = least(&first, &mut guessed.chain(square((0, 0), REACH, 2)).chain(square((0, 0), DENSE_REACH, 1)));
         let vector = least(&voters, &mut square(about, 1, 1));
-        (vector != (0, 0) && f64::from(cost(&voters, vector, u32::MAX)) < MAX_REMAINING * f64::from(cost(&voters, (0, 0), u32::MAX)))
-            .then_some(vector)
+        let moves = vector != (0, 0)
+            && f64::from(self.cost(&voters, vector, u32::MAX)) < MAX_REMAINING * f64::from(self.cost(&voters, (0, 0), u32::MAX));
+        TileMotion { first, voters, vector: moves.then_some(vector) }
+    }
+
+    /// How badly a motion explains the voters' pixels. Prefers the shorter of equally good motions; stops counting once the cost reaches
+    /// `enough`.
+    fn cost(&self, voters: &[Voter], (dx, dy): (i32, i32), enough: u32) -> u32 {
+        let width = self.geometry.grid.width as usize;
+        let left = |&Voter { x, y, .. }: &Voter| {
+            let to = self.at(x + dx, y + dy);
+            to.map_or(MAX_DIFFERENCE, |to| difference(self.was[y as usize * width + x as usize], self.now[to]).min(MAX_DIFFERENCE))
+        };
+        let mut sum = dx.unsigned_abs() + dy.unsigned_abs();
+        for some in voters.chunks(VOTERS_AT_ONCE) {
+            sum += some.iter().map(left).sum::<u32>();
+            if sum >= enough {
+                break;
+            }
+        }
+        sum
     }
 }
 
-/// Adds a plane to a tile for some pixels, at the mean of their δ.
-fn add_plane(tile: &mut Tile, unplaced: &[(usize, f32)]) {
-    if tile.planes.len() >= MAX_PLANES {
-        return;
-    }
-    let mean = unplaced.iter().map(|(_, delta)| f64::from(*delta)).sum::<f64>() / unplaced.len() as f64;
-    let plane = Plane::fronto_parallel(mean).quantised();
-    // planes are sorted from far to near
-    let at = tile.planes.iter().take_while(|p| p.a <= plane.a).count();
-    tile.planes.insert(at, plane);
-    tile.labels.iter_mut().filter(|label| usize::from(**label) >= at).for_each(|label| *label += 1);
-    for (i, _) in unplaced {
-        tile.labels[*i] = at as u8;
-    }
+/// The most frequent motions.
+fn commonest(motions: impl Iterator<Item = (i32, i32)>) -> Vec<(i32, i32)> {
+    let mut all: Vec<(i32, i32)> = motions.collect();
+    all.sort_unstable();
+    let mut counted: Vec<(usize, (i32, i32))> = all.chunk_by(|a, b| a == b).map(|same| (same.len(), same[0])).collect();
+    counted.sort_by_key(|(count, _)| Reverse(*count));
+    counted.into_iter().take(TRIED).map(|(_, motion)| motion).collect()
 }
 
 dispatch!(
@@ -239,7 +273,7 @@ mod tests {
     use super::*;
     use crate::live::{FrameTiming, Layers};
     use crate::scene::packed_rgb::of_word;
-    use crate::{Grid, Intrinsics, Photo, ViewBox};
+    use crate::{Grid, Intrinsics, Photo, Plane, ViewBox};
 
     const W: u32 = 96;
     const H: u32 = 64;
@@ -275,8 +309,9 @@ mod tests {
             let surface = geometry.surface();
             let (other, now) = frame_on(deltas, to);
             let motion = MotionSearch::new(&geometry, &surface, (&was, &now), Duration::ZERO);
+            let vectors = motion.vectors(&[]);
             for (t, (tile, other)) in (0..).zip(geometry.tiles.iter().zip(&other.tiles)) {
-                let moved = motion.vector(t, &[]).and_then(|vector| motion.moved(t, vector));
+                let moved = vectors[t as usize].and_then(|vector| motion.moved(t, vector));
                 let off = moved.as_ref().unwrap_or(tile).labels.iter().zip(&other.labels).filter(|(a, b)| a != b).count();
                 assert_eq!(off, 0, "pixels of tile {t} at {deltas:?}, to {to:?}");
             }
@@ -287,17 +322,16 @@ mod tests {
     fn an_object_with_steady_motion_is_found_beyond_the_search_range() {
         let (geometry, was) = frame(10, 16);
         let surface = geometry.surface();
-        let (thirtieth, tiles) = (Duration::from_micros(33_333), geometry.grid.tiles());
+        let thirtieth = Duration::from_micros(33_333);
         let labels = |motion: &MotionSearch, before: &[Option<MotionVector>]| -> Vec<_> {
-            (0..tiles)
-                .map(|t| {
-                    motion.vector(t, before).and_then(|vector| motion.moved(t, vector)).unwrap_or(geometry.tiles[t as usize].clone()).labels
-                })
-                .collect()
+            let tile = |(t, vector): (u32, Option<MotionVector>)| {
+                vector.and_then(|vector| motion.moved(t, vector)).unwrap_or(geometry.tiles[t as usize].clone()).labels
+            };
+            (0..).zip(motion.vectors(before)).map(tile).collect()
         };
         let first = frame(20, 18).1;
         let motion = MotionSearch::new(&geometry, &surface, (&was, &first), thirtieth);
-        let motion_vectors: Vec<_> = (0..tiles).map(|t| motion.vector(t, &[])).collect();
+        let motion_vectors = motion.vectors(&[]);
         let (other, third) = frame(40, 22);
         let motion = MotionSearch::new(&geometry, &surface, (&was, &third), 3 * thirtieth);
         let expected: Vec<_> = other.tiles.into_iter().map(|t| t.labels).collect();
@@ -315,21 +349,50 @@ mod tests {
         geometry.tiles[1].planes.truncate(1);
         let surface = geometry.surface();
         let motion = MotionSearch::new(&geometry, &surface, (&was, &now), Duration::ZERO);
-        let moved = motion.vector(1, &[]).and_then(|vector| motion.moved(1, vector)).unwrap();
+        let moved = motion.vectors(&[])[1].and_then(|vector| motion.moved(1, vector)).unwrap();
         assert_eq!(moved.labels, other.tiles[1].labels);
         let off = |i: usize| (moved.planes[i].a - other.tiles[1].planes[i].a).abs();
         assert!(moved.planes.len() == 2 && off(0) < 1e-3 && off(1) < 1e-3, "{:?}", moved.planes);
-        // and what the object uncovers, in a tile that has only the object's plane
-        let mut tile = geometry.tiles[0].clone();
-        tile.planes.remove(0);
-        tile.labels.fill(0);
-        add_plane(&mut tile, &[(3, 0.2), (4, 0.21)]);
-        assert!(tile.planes[0].a < tile.planes[1].a && (tile.planes[0].a - 0.205).abs() < 1e-3, "{:?}", tile.planes);
-        assert_eq!(tile.labels[..6], [1, 1, 1, 0, 0, 1]);
-        tile.planes = vec![tile.planes[0]; MAX_PLANES];
-        let full = tile.clone();
-        add_plane(&mut tile, &[(3, 0.7)]);
-        assert!(tile == full, "no more than MAX_PLANES");
+    }
+
+    #[test]
+    fn tiles_of_an_object_agree_on_its_motion_and_others_keep_theirs() {
+        // textured above, plain below: the lower tiles see only vertical edges, which fit any motion up or down
+        let (w, h) = (160, 160);
+        let grid = Grid::new(w, h, 64);
+        let frame = |x: u32, y: u32, other: u32| {
+            let inside = move |u: u32, v: u32| (x..x + 40).contains(&u) && (y..y + 120).contains(&v);
+            let second = move |u: u32, v: u32| (other..other + 20).contains(&u) && (16..40).contains(&v);
+            let wave = |a: u32| (100.0 * (f64::from(a) / 3.0).sin()) as i32;
+            let rgb = |i: u32| {
+                let (u, v) = (i % w, i / w);
+                match (inside(u, v), second(u, v)) {
+                    (true, _) if v < y + 40 => [200, (128 + wave(u - x + 2 * (v - y))) as u8, 40, 0],
+                    (true, _) => [200, 128, 40, 0],
+                    (_, true) => [40, (128 + wave(u - other + v)) as u8, 220, 0],
+                    _ => [20, 30, 50, 0],
+                }
+            };
+            let tile = |t: u32| {
+                let r = grid.rect(t);
+                let near = |i: u32| inside(r.x + i % r.w, r.y + i / r.w) || second(r.x + i % r.w, r.y + i / r.w);
+                let labels = (0..r.area() as u32).map(|i| near(i).into()).collect();
+                Tile { planes: [0.2, 0.7].map(Plane::fronto_parallel).to_vec(), labels, background: None }
+            };
+            let tiles: Vec<Tile> = (0..grid.tiles()).map(tile).collect();
+            let geometry =
+                Geometry { grid, intrinsics: Intrinsics::centred(w, h, 80.0), view_box: ViewBox::cube(0.03), tiles, matte_band: 0 };
+            (geometry, (0..w * h).map(|i| u32::from_le_bytes(rgb(i))).collect::<Vec<u32>>())
+        };
+        let ((geometry, was), (_, now)) = (frame(20, 20, 110), frame(28, 17, 104));
+        let surface = geometry.surface();
+        let vectors = MotionSearch::new(&geometry, &surface, (&was, &now), Duration::ZERO).vectors(&[]);
+        let of = |x: u32, y: u32| {
+            let at = (y / grid.stride).min(grid.rows() - 1) * grid.columns() + (x / grid.stride).min(grid.columns() - 1);
+            vectors[at as usize].map(|v| (v.x, v.y))
+        };
+        assert_eq!([of(30, 30), of(30, 80), of(30, 130)], [Some((8, -3)); 3], "all of the object");
+        assert_eq!(of(130, 20), Some((-6, 0)), "the other object");
     }
 
     #[test]
@@ -357,7 +420,7 @@ mod tests {
         let surface = geometry.surface();
         let of = |now: &[u32]| {
             let motion = MotionSearch::new(&geometry, &surface, (&was, now), Duration::ZERO);
-            (0..geometry.grid.tiles()).filter_map(|t| motion.moved(t, motion.vector(t, &[])?)).count()
+            (0..).zip(motion.vectors(&[])).filter_map(|(t, vector)| motion.moved(t, vector?)).count()
         };
         assert_eq!(of(&was), 0);
         // noise, a change of light, and an unrelated picture

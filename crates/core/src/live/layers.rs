@@ -186,10 +186,8 @@ impl Layers {
         }
         let motion = MotionSearch::new(geometry, surface, (&received.words, &self.words), self.now.1.saturating_sub(received.at));
         let mut out = None;
-        let before = self.motion_vectors.clone();
-        for t in 0..geometry.grid.tiles() {
-            let vector = motion.vector(t, &before);
-            self.motion_vectors[t as usize] = vector;
+        self.motion_vectors = motion.vectors(&self.motion_vectors);
+        for (t, vector) in (0..).zip(&self.motion_vectors) {
             let Some(tile) = vector.and_then(|vector| motion.moved(t, vector)) else { continue };
             out.get_or_insert_with(|| geometry.clone()).tiles[t as usize] = tile;
             (changed[t as usize], self.moved[t as usize]) = (true, true);

@@ -12,6 +12,7 @@ mod fuzzing;
 mod key_frame_header;
 pub mod label_motion;
 mod layers;
+mod moved_tile;
 #[doc(hidden)]
 pub mod schema;
 mod shown_frames;

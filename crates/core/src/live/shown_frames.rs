@@ -3,8 +3,11 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Number of frames kept. Tiles that are later count as this late.
-pub(super) const KEPT: usize = 6;
+/// Maximum number of frames kept, and of large frames. Tiles that are later count as this late.
+pub(super) const KEPT: usize = 12;
+const KEPT_LARGE: usize = 6;
+/// Pixels of all kept frames, unless that is less than [`KEPT_LARGE`] frames: 16 MB.
+const PIXELS: usize = 4_000_000;
 
 /// Number and time of a frame that is to be shown, and the frame of its tiles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -42,7 +45,8 @@ impl History {
         if self.0.front().is_some_and(|last| last.number >= frame.number) {
             self.0.clear();
         }
-        self.0.truncate(KEPT - 1);
+        let kept = (PIXELS / frame.words.len().max(1)).clamp(KEPT_LARGE, KEPT);
+        self.0.truncate(kept - 1);
         self.0.push_front(frame);
     }
 

@@ -18,7 +18,11 @@ const TRUTH: usize = 4;
 pub(super) fn layers(scene: &Scene, picture: &Picture, degraded: bool) -> Vec<u8> {
     let (photo, camera) = (&picture.photo, scene.camera());
     let (w, h) = (photo.width, photo.height);
-    let map = if degraded { edges::snap(photo, &depth::halved(&picture.disparity)) } else { edges::median(photo, &picture.disparity) };
+    let map = if degraded {
+        edges::snap(photo, &depth::halved(&picture.disparity), edges::PHOTO_RIM)
+    } else {
+        edges::median(photo, &picture.disparity)
+    };
     let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
     let most = Parallax::new(camera.intrinsics, Options::VIEW_BOX).most(Rect { x: 0, y: 0, w, h });
     let tiles = place(&map, None, &grid, &Options::default().placement(Options::MAX_ERROR, most));

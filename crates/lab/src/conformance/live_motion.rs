@@ -22,7 +22,8 @@ pub(super) fn run(checked: &mut Checked) {
 pub(super) fn followed(geometry: &Geometry, was: &[u32], now: &[u32]) -> Vec<Vec<u8>> {
     let surface = geometry.surface();
     let search = MotionSearch::new(geometry, &surface, (was, now), Duration::ZERO);
-    let of = |t: u32| search.vector(t, &[]).and_then(|vector| search.moved(t, vector));
+    let vectors = search.vectors(&[]);
+    let of = |t: u32| vectors[t as usize].and_then(|vector| search.moved(t, vector));
     (0..).zip(&geometry.tiles).map(|(t, tile)| of(t).map_or_else(|| tile.labels.clone(), |moved| moved.labels)).collect()
 }
 

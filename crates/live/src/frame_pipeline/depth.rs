@@ -3,7 +3,7 @@
 use tmpi_core::{DisparityMap, Photo, Rect};
 use tmpi_pipeline::MakeError;
 use tmpi_pipeline::run::Context;
-use tmpi_pipeline::run::stages::{Source, WeightedDisparity, find_disparity, remove_noise, snap_ramps};
+use tmpi_pipeline::run::stages::{Source, WeightedDisparity, find_disparity, remove_noise, snap_to_video};
 
 use super::Frame;
 
@@ -21,12 +21,12 @@ pub(super) fn estimate(
     if let Some(given) = &frame.depth {
         let map = WeightedDisparity { delta: given.clone(), confidence: None, given: true };
         let map = remove_noise(job, &frame.photo, map)?;
-        return snap_ramps(job, &frame.photo, map);
+        return snap_to_video(job, &frame.photo, map);
     }
     let map = find_disparity(job, &frame.photo, Source::Network, size)?;
     match part {
         Some(part) => snap_part(job, &frame.photo, map, part),
-        None => snap_ramps(job, &frame.photo, map),
+        None => snap_to_video(job, &frame.photo, map),
     }
 }
 
@@ -40,7 +40,7 @@ pub(super) fn snap_part(job: &mut Context, photo: &Photo, mut map: WeightedDispa
     let rgb = rows().flat_map(|at| &photo.rgb[at..at + w as usize]).copied().collect();
     let delta = rows().flat_map(|at| &map.delta.delta[at..at + w as usize]).copied().collect();
     let cut = WeightedDisparity { delta: DisparityMap { width: w, height: h, delta }, confidence: None, given: map.given };
-    let snapped = snap_ramps(job, &Photo { width: w, height: h, rgb }, cut)?;
+    let snapped = snap_to_video(job, &Photo { width: w, height: h, rgb }, cut)?;
     for y in part.y..part.y + part.h {
         let (to, from) = ((y as usize * width) + part.x as usize, ((y - y0) * w + part.x - x0) as usize);
         let count = part.w as usize;

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use tmpi_core::live::{TileState, schema};
 use tmpi_pipeline::depth::{DepthError, Estimate, Estimator};
-use tmpi_pipeline::run::stages::snap_ramps;
+use tmpi_pipeline::run::stages::snap_to_video;
 
 use super::depth::snap_part;
 use super::*;
@@ -251,7 +251,7 @@ fn snapping_a_part_equals_snapping_the_whole() {
     let (models, limits, options) =
         (Models { depth: Arc::new(Bright::default()), theta: None, psi: None }, Limits::default(), Options::default());
     let mut job = Context::new(&models, &limits, &options, &Silent);
-    let whole = snap_ramps(&mut job, &frame.photo, map()).unwrap().delta;
+    let whole = snap_to_video(&mut job, &frame.photo, map()).unwrap().delta;
     assert_ne!(whole.delta, delta);
     for part in [Rect { x: 48, y: 0, w: 24, h: 136 }, Rect { x: 0, y: 40, w: 64, h: 16 }, Rect { x: 56, y: 120, w: 184, h: 16 }] {
         let found = snap_part(&mut job, &frame.photo, map(), part).unwrap().delta;

@@ -4,7 +4,7 @@ use fearless_simd::{Level, Simd, f32x8, prelude::*};
 use tmpi_core::simd::dispatch;
 
 use super::window_rows::{Band, LANES, Lanes, REACH, exp2};
-use super::{EDGE, JOIN, MEDIAN, OWN, RADIUS, RAMP, SIDE, SIGMA_COLOUR, SIGMA_PLACE};
+use super::{EDGE, MEDIAN, OWN, RADIUS, RAMP, SIDE, SIGMA_COLOUR, SIGMA_PLACE};
 
 /// Added to each weight of a side, so that sides far from a colour still compare.
 const TINY: f32 = 1e-20;
@@ -184,12 +184,12 @@ fn up_to<S: Simd>(simd: S, values: &[f32], weights: &[f32], of: &[Lanes; ROOM / 
 }
 
 dispatch!(
-    /// Gives far pixels of row `y` that touch the near side, and whose colour is mixed with it, the near side's δ.
-    pub(super) joins, joins_body, (band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32])
+    /// Gives far pixels of row `y` that touch the near side, and whose colour has more than the share `rim` of its, the near side's δ.
+    pub(super) joins, joins_body, (band: &Band, tables: &Tables, rim: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32])
 );
 
 #[inline(always)]
-fn joins_body(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+fn joins_body(band: &Band, tables: &Tables, rim: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     let last = out.len() - 1;
     for (x, ((o, &lo), &hi)) in out.iter_mut().zip(lo).zip(hi).enumerate() {
         let step = hi - lo;
@@ -227,7 +227,7 @@ fn joins_body(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], ou
             norm += (f - b) * (f - b);
         }
         // sides of about the same colour say nothing
-        if norm > CONTRAST * CONTRAST && dot > JOIN * norm {
+        if norm > CONTRAST * CONTRAST && dot > rim * norm {
             *o = near[3] / near[4];
         }
     }

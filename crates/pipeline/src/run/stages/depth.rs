@@ -231,31 +231,37 @@ pub(crate) fn apply_strokes(context: &mut Context, photo: &Photo, mut map: Weigh
     Ok(map)
 }
 
-/// Stage that snaps the ramps of blurred maps to the photo's edges. Rooms use it without widening: they snap only a part of a frame, and
+/// Stage that snaps the ramps of blurred maps to the edges of a frame of video. Rooms do not widen: they snap only a part of a frame, and
 /// widening looks farther than the margin of such a part.
 ///
 /// # Errors
 /// [`MakeError`] if there is no time left.
-pub fn snap_ramps(context: &mut Context, photo: &Photo, map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
-    snap(context, photo, map, false)
+pub fn snap_to_video(context: &mut Context, photo: &Photo, map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
+    snap(context, photo, map, (edges::VIDEO_RIM, false))
 }
 
-/// [`snap_ramps`], which also widens things in a network's map that are too small, unless [`Switch::On`] asks for snapping alone.
+/// Stage that snaps the ramps of blurred maps to a photo's edges, and widens things in a network's map that are too small, unless
+/// [`Switch::On`] asks for snapping alone.
 ///
 /// # Errors
 /// [`MakeError`] if there is no time left.
 pub fn snap_and_widen(context: &mut Context, photo: &Photo, map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
     let widens = !map.given && context.options.snap == Switch::Auto;
-    snap(context, photo, map, widens)
+    snap(context, photo, map, (edges::PHOTO_RIM, widens))
 }
 
-fn snap(context: &mut Context, photo: &Photo, mut map: WeightedDisparity, widens: bool) -> Result<WeightedDisparity, MakeError> {
+fn snap(
+    context: &mut Context,
+    photo: &Photo,
+    mut map: WeightedDisparity,
+    (rim, widens): (f32, bool),
+) -> Result<WeightedDisparity, MakeError> {
     let stage = context.begin("snap")?;
     let switch = context.options.snap;
     if switch != Switch::Off {
         // snapping sharp depth costs quality, and a given map may be sharp or blurred
         let blurred = !map.given || switch == Switch::On || edges::ramp_share(&map.delta) > edges::BLURRED;
-        let mut snapped = if blurred { edges::snap(photo, &map.delta) } else { edges::median(photo, &map.delta) };
+        let mut snapped = if blurred { edges::snap(photo, &map.delta, rim) } else { edges::median(photo, &map.delta) };
         if widens {
             snapped = edges::widen(photo, &snapped);
         }

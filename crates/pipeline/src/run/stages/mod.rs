@@ -8,7 +8,7 @@ mod planes;
 mod verify;
 
 pub(super) use depth::apply_strokes;
-pub use depth::{SecondPicture, Source, WeightedDisparity, find_disparity, remove_noise, snap_and_widen, snap_ramps};
+pub use depth::{SecondPicture, Source, WeightedDisparity, find_disparity, remove_noise, snap_and_widen, snap_to_video};
 pub(super) use encode::{Encoded, encode_scene};
 pub use layers::{Layered, make_layers, refine_layers};
 pub use photo::Prepared;
