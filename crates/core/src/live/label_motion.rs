@@ -18,6 +18,8 @@ use crate::{Geometry, Rect, Tile, grown};
 const REACH: i32 = 12;
 /// Range of the dense search around no motion and around each predicted motion. The rest of the range is searched at every second pixel.
 const DENSE_REACH: i32 = 3;
+/// Range and step of the search around a group's common motion.
+const WIDE_REACH: (i32, usize) = (24, 3);
 /// Maximum predicted motion along each axis, in pixels.
 const MAX_PREDICTED: i32 = 96;
 /// Difference in levels, summed over the channels, above which a pixel has changed; more than the noise of video.
@@ -129,6 +131,9 @@ impl<'a> MotionSearch<'a> {
         for group in self.groups(found) {
             let cost_of = |vector: &(i32, i32)| -> u32 { group.iter().map(|t| self.cost(&found[*t].first, *vector, u32::MAX)).sum() };
             let Some(common) = commonest(group.iter().filter_map(|t| found[*t].vector)).into_iter().min_by_key(cost_of) else { continue };
+            // an object that speeds up or turns is not where its tiles were searched
+            let common = square(common, WIDE_REACH.0, WIDE_REACH.1).min_by_key(cost_of).unwrap_or(common);
+            let common = square(common, DENSE_REACH, 1).min_by_key(cost_of).unwrap_or(common);
             for t in group {
                 let tile = &mut found[t];
                 let own = f64::from(self.cost(&tile.voters, tile.vector.unwrap_or_default(), u32::MAX));
@@ -205,10 +210,6 @@ impl<'a> MotionSearch<'a> {
             return TileMotion::default();
         }
         let some = |most: usize| changed.iter().step_by(changed.len().div_ceil(most)).copied().collect::<Vec<_>>();
-        let square = |(x, y): (i32, i32), reach: i32, step: usize| {
-            let side = move || (-reach..=reach).step_by(step);
-            side().flat_map(move |dy| side().map(move |dx| (x + dx, y + dy)))
-        };
         let least = |voters: &[Voter], motion_vectors: &mut dyn Iterator<Item = (i32, i32)>| {
             let (mut best, mut best_cost) = ((0, 0), u32::MAX);
             for vector in motion_vectors {
@@ -245,6 +246,12 @@ impl<'a> MotionSearch<'a> {
         }
         sum
     }
+}
+
+/// Motions around one, every `step`th along each axis.
+fn square((x, y): (i32, i32), reach: i32, step: usize) -> impl Iterator<Item = (i32, i32)> {
+    let side = move || (-reach..=reach).step_by(step);
+    side().flat_map(move |dy| side().map(move |dx| (x + dx, y + dy)))
 }
 
 /// The most frequent motions.
