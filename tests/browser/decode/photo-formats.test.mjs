@@ -93,7 +93,11 @@ describe('photos of every format and feature', () => {
     assert.deepEqual(wrong, [], `${wrong.length} of ${results.length} photos`);
     for (const { names, why } of EXCEPTIONS) {
       const matches = results.filter(({ name }) => names.test(name));
-      assert.ok(matches.length > 0 && matches.every((result) => !isSame(result)), `no longer an exception: ${names}, ${why}`);
+      // versions of Chromium differ in which of them they show
+      assert.ok(
+        matches.some((result) => !isSame(result)),
+        `no longer an exception: ${names}, ${why}`,
+      );
     }
   });
 });
