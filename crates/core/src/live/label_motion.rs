@@ -41,6 +41,8 @@ const MAX_REMAINING: f64 = 0.7;
 
 /// Number of a group's motions that are tried as its common one, the most frequent first.
 const TRIED: usize = 16;
+/// Maximum number of a group's pixels that vote on its common motion.
+const GROUP_VOTERS: usize = 1500;
 /// A tile takes the motion of its group if that leaves at most this many times the difference that its own leaves.
 const AGREE: f64 = 2.0;
 
@@ -129,7 +131,9 @@ impl<'a> MotionSearch<'a> {
     /// Gives the tiles of each group the motion that explains the whole group best, unless their own explains them much better.
     fn agree(&self, found: &mut [TileMotion]) {
         for group in self.groups(found) {
-            let cost_of = |vector: &(i32, i32)| -> u32 { group.iter().map(|t| self.cost(&found[*t].first, *vector, u32::MAX)).sum() };
+            let voters: Vec<Voter> = group.iter().flat_map(|t| &found[*t].first).copied().collect();
+            let voters: Vec<Voter> = voters.iter().step_by(voters.len().div_ceil(GROUP_VOTERS).max(1)).copied().collect();
+            let cost_of = |vector: &(i32, i32)| self.cost(&voters, *vector, u32::MAX);
             let Some(common) = commonest(group.iter().filter_map(|t| found[*t].vector)).into_iter().min_by_key(cost_of) else { continue };
             // an object that speeds up or turns is not where its tiles were searched
             let common = square(common, WIDE_REACH.0, WIDE_REACH.1).min_by_key(cost_of).unwrap_or(common);
