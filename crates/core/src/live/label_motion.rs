@@ -5,7 +5,6 @@
 //! position predicted from its last motion, and moves its labels along, into neighbouring tiles as well. `tmpi-lab live-bench --only
 //! measured --late N` measures the benefit. This needs no data from the server and leaves no trace: received labels are shown as they are.
 
-use std::cmp::Reverse;
 use std::time::Duration;
 
 use super::moved_tile::Labels;
@@ -260,11 +259,21 @@ fn square((x, y): (i32, i32), reach: i32, step: usize) -> impl Iterator<Item = (
 
 /// The most frequent motions.
 fn commonest(motions: impl Iterator<Item = (i32, i32)>) -> Vec<(i32, i32)> {
-    let mut all: Vec<(i32, i32)> = motions.collect();
-    all.sort_unstable();
-    let mut counted: Vec<(usize, (i32, i32))> = all.chunk_by(|a, b| a == b).map(|same| (same.len(), same[0])).collect();
-    counted.sort_by_key(|(count, _)| Reverse(*count));
-    counted.into_iter().take(TRIED).map(|(_, motion)| motion).collect()
+    let mut counted: Vec<(usize, (i32, i32))> = Vec::new();
+    for motion in motions {
+        match counted.iter_mut().find(|(_, known)| *known == motion) {
+            Some((count, _)) => *count += 1,
+            None => counted.push((1, motion)),
+        }
+    }
+    let mut most = Vec::new();
+    // no sorting, whose code would be a large part of the page's decoder
+    while most.len() < TRIED
+        && let Some((i, _)) = counted.iter().enumerate().max_by_key(|(_, (count, _))| *count)
+    {
+        most.push(counted.swap_remove(i).1);
+    }
+    most
 }
 
 dispatch!(

@@ -46,17 +46,8 @@ impl Labels<'_> {
         let tile = self.geometry.tiles.get(index as usize)?;
         let mut moved = tile.clone();
         let unplaced = self.move_labels(index, by, &mut moved);
-        for Unplaced { plane, pixels } in unplaced {
-            if pixels.len() >= MIN_UNPLACED && moved.planes.len() < MAX_PLANES {
-                add_plane(&mut moved, plane, pixels.iter().map(|p| p.0));
-                continue;
-            }
-            for (i, comes, shown) in pixels {
-                let (best, off) = self.nearest_plane(index, &moved, i, comes);
-                if off < 0.5 * (comes - shown).abs() {
-                    moved.labels[i] = best;
-                }
-            }
+        for unplaced in unplaced {
+            self.place(index, &mut moved, unplaced);
         }
         if moved == *tile {
             return None;
@@ -65,6 +56,19 @@ impl Labels<'_> {
             self.join_rims(index, &mut moved);
         }
         Some(moved)
+    }
+
+    /// Gives pixels the plane that they come from, if they are enough and the tile has room for it; otherwise the nearest of its planes.
+    fn place(&self, index: u32, tile: &mut Tile, Unplaced { plane, pixels }: Unplaced) {
+        if pixels.len() >= MIN_UNPLACED && tile.planes.len() < MAX_PLANES {
+            return add_plane(tile, plane, pixels.iter().map(|p| p.0));
+        }
+        for (i, comes, shown) in pixels {
+            let (best, off) = self.nearest_plane(index, tile, i, comes);
+            if off < 0.5 * (comes - shown).abs() {
+                tile.labels[i] = best;
+            }
+        }
     }
 
     /// Moves the labels of pixels that one of the tile's planes fits; returns the others.
@@ -186,7 +190,7 @@ impl Side {
     }
 }
 
-/// Whether a colour has a share of at least [`JOIN`] of the near side's.
+/// Whether a colour has a share of more than [`JOIN`] of the near side's.
 fn joins(colour: [u8; 3], near: &Side, far: &Side) -> bool {
     let (mut dot, mut norm) = (0.0, 0.0);
     for ((c, near_sum), far_sum) in colour.into_iter().zip(near.sum).zip(far.sum) {
@@ -260,6 +264,24 @@ mod tests {
         for (x, y) in [(60, 10), (75, 30), (90, 50)] {
             let (is, should) = (at(&moved, 1, x, y), at(&tilted, 0, x - 9, y + 4));
             assert!((is - should).abs() < 2e-4, "{is} {should}");
+        }
+    }
+
+    #[test]
+    fn a_full_tile_gets_no_plane() {
+        let mut geometry = geometry(20);
+        let surface = geometry.surface();
+        // the object's plane is missing
+        for (planes, expected) in [(1, 2), (MAX_PLANES, MAX_PLANES)] {
+            geometry.tiles[0].planes = vec![Plane::fronto_parallel(0.2); planes];
+            geometry.tiles[0].labels.fill(0);
+            let (now, changed) = (vec![0; (W * W) as usize], vec![1; (W * W) as usize]);
+            let labels = Labels { geometry: &geometry, delta: surface.all(), now: &now, near_change: &changed };
+            let plane = Plane::fronto_parallel(0.7);
+            let mut tile = geometry.tiles[0].clone();
+            labels.place(0, &mut tile, Unplaced { plane, pixels: (0..MIN_UNPLACED).map(|i| (i, 0.7, 0.2)).collect() });
+            assert_eq!(tile.planes.len(), expected);
+            assert!(tile.labels.iter().all(|l| usize::from(*l) < expected));
         }
     }
 
