@@ -53,7 +53,10 @@ describe('viewer lifetime', () => {
         const { detail } = await ready;
         const { device } = element.viewer.renderer;
         element.remove();
+        // Chromium collects a device that nothing refers to before it is lost, and with it all who wait for that.
+        window.closing = device;
         await device.lost;
+        window.closing = null;
         return detail.mode;
       });
     const heap = async () => {
