@@ -27,7 +27,7 @@ export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
  *   data: Uint8Array<ArrayBuffer>}} Video
  */
 /** @typedef {{kind: 'sound', time: number, data: Uint8Array<ArrayBuffer>}} Sound */
-/** @typedef {{kind: 'tiles', frame: number, changed: number}} Tiles have already been applied */
+/** @typedef {{kind: 'tiles', frame: number, changed: number}} Tiles `changed`: count of tiles that have been applied; those of a later frame wait for it */
 /**
  * @typedef {{kind: 'statistics', frame: number, viewers: number, frames: number, videoBytes: number, geometryBytes: number, tiles: number,
  *   leftOut: number, skipped: number, forwardMs: number, geometryMs: number}} Statistics
@@ -67,7 +67,7 @@ export class RoomDecoder {
   }
 
   /**
-   * Reads a message and applies its tiles.
+   * Reads a message and applies its tiles, or keeps them until their frame comes.
    * @param {Uint8Array} bytes
    * @returns {Message}
    * @throws {ContainerError} if the message is malformed

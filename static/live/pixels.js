@@ -2,6 +2,55 @@
 
 import { PIXELS } from './decoder.js';
 
+/** Timeout of copying a picture's samples, ms: in one browser the copy never finished. */
+const COPY_TIMEOUT_MS = 500;
+/** Most pictures that are read or wait to be: a decoder may have few of them. */
+const MAX_PICTURES = 3;
+
+/** @typedef {{format: number, bytes: Uint8Array | Uint8ClampedArray}} Pixels planes without gaps */
+
+/** Reads and closes pictures one after another, so that none overtakes an earlier one. */
+export class PictureReader {
+  /** True to copy samples unconverted, false to read them from a canvas. */
+  #copies = true;
+  #count = 0;
+  /** @type {Promise<unknown>} */
+  #last = Promise.resolve();
+
+  /** True if another picture must not wait. */
+  get full() {
+    return this.#count >= MAX_PICTURES;
+  }
+
+  /**
+   * @param {VideoFrame | ImageBitmap} picture of that size
+   * @param {{width: number, height: number}} size
+   * @returns {Promise<Pixels | null>} null on a timeout; later pictures are then read from a canvas
+   */
+  async read(picture, size) {
+    this.#count++;
+    const pixels = this.#last.then(() => this.#read(picture, size));
+    this.#last = pixels.catch(() => {});
+    return pixels;
+  }
+
+  /**
+   * @param {VideoFrame | ImageBitmap} picture
+   * @param {{width: number, height: number}} size
+   */
+  async #read(picture, size) {
+    const late = new Promise((resume) => setTimeout(() => resume(null), COPY_TIMEOUT_MS));
+    try {
+      const pixels = await Promise.race([pixelsOf(picture, size, this.#copies), late]);
+      if (!pixels) this.#copies = false;
+      return pixels;
+    } finally {
+      this.#count--;
+      picture.close();
+    }
+  }
+}
+
 /**
  * The visible part of a frame's samples. Some decoders crop frames to VP9's render size, others ignore it.
  * @param {VideoFrame} picture
@@ -18,7 +67,7 @@ function visiblePart({ visibleRect, codedWidth, codedHeight }, width, height) {
  * @param {VideoFrame | ImageBitmap} picture of that size; the caller closes it
  * @param {{width: number, height: number}} size
  * @param {boolean} copies whether to copy the samples unconverted
- * @returns {Promise<{format: number, bytes: Uint8Array | Uint8ClampedArray}>} planes without gaps
+ * @returns {Promise<Pixels>}
  */
 export async function pixelsOf(picture, { width, height }, copies) {
   const format = 'format' in picture ? picture.format : null;

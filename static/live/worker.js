@@ -12,7 +12,7 @@ import { FrameDecoder, NoDecoder } from './frame-decoder.js';
 import { InFlight } from './in-flight.js';
 import { Jitter } from './jitter.js';
 import { Measurements } from './measurements.js';
-import { pixelsOf } from './pixels.js';
+import { PictureReader } from './pixels.js';
 import { PlayoutBuffer } from './playout-buffer.js';
 import { SoundDecoder } from './sound-decoder.js';
 import { TileAtlas } from './tile-atlas.js';
@@ -28,7 +28,7 @@ import '../view/camera.js';
 import '../view/camera-limits.js';
 
 /** @import { SceneHead } from '../decode/scene.js' */
-/** @import { Hello, Message, Statistics, Video } from './decoder.js' */
+/** @import { Hello, Message, Statistics, Tiles, Video } from './decoder.js' */
 /** @import { Decoded } from './frame-decoder.js' */
 
 /**
@@ -44,8 +44,6 @@ const UNANSWERED_MS = 4000;
 const STATISTICS_MS = 500;
 /** Time after the first frame after which plain video is shown until every tile has arrived, ms. */
 const FLAT_AFTER_MS = 1500;
-/** Timeout of copying a frame's samples, ms: in one browser the copy never finished. */
-const COPY_TIMEOUT_MS = 500;
 /** First byte of GEOMETRY and SNAPSHOT (protobuf fields 3 and 4). */
 const TILE_MESSAGES = [(3 << 3) | 2, (4 << 3) | 2];
 /** Watching ends after this many consecutive failed frames, each on a new connection, over at least this time, ms. */
@@ -78,8 +76,7 @@ class Room {
   #inFlight = new InFlight();
   /** Buffer to reuse for the next texels. @type {ArrayBuffer | undefined} */
   #scratch;
-  /** True to copy samples unconverted, false to read them from a canvas. */
-  #copySamples = true;
+  #pictures = new PictureReader();
   #hidden = false;
   /** True if tiles arrived after their frame was shown. */
   #lateTiles = false;
@@ -203,7 +200,7 @@ class Room {
     }
     if (message.kind === 'hello') this.#onHello(message);
     else if (message.kind === 'video') this.#onVideo(message);
-    else if (message.kind === 'tiles') this.#onTiles(message.frame);
+    else if (message.kind === 'tiles') this.#onTiles(message);
     else if (message.kind === 'sound') this.#sound.decode(message);
     else if (message.kind === 'statistics') this.#statistics = message;
     else if (message.kind === 'bye') {
@@ -309,10 +306,11 @@ class Room {
     this.#setState('unsupported', reason);
   }
 
-  /** @param {number} frame the newest frame whose tiles have arrived */
-  #onTiles(frame) {
+  /** @param {Tiles} tiles */
+  #onTiles({ frame, changed }) {
     this.#tileSync.tilesArrived(frame, performance.now());
-    this.#lateTiles = true;
+    // those of a later frame are shown with it
+    this.#lateTiles ||= changed > 0;
     this.#pump();
   }
 
@@ -325,7 +323,7 @@ class Room {
       this.#deadline = 0;
       this.#pump();
     }
-    this.#drop();
+    this.#skip();
     this.#next = decoded;
     this.#pump();
   }
@@ -335,10 +333,23 @@ class Room {
     return this.#request.flat ? this.#inFlight.empty : this.#inFlight.canSend(this.#tileSync.interval);
   }
 
-  /** Drops the waiting frame: the newest one wins. */
+  /** Drops the waiting frame. */
   #drop() {
     this.#next?.picture.close();
     this.#next = null;
+  }
+
+  /** Skips the waiting frame, because the newest one wins. The decoder remembers it for its tiles, which arrive later. */
+  async #skip() {
+    const [skipped, head] = [this.#next, this.#hello?.head];
+    if (!skipped || !head || !this.#atlas || this.#request.flat || this.#hidden || this.#pictures.full) return this.#drop();
+    this.#next = null;
+    try {
+      const pixels = await this.#pictures.read(skipped.picture, head);
+      if (pixels && this.#hello?.head === head) this.#decoder.frame(pixels.format, pixels.bytes, skipped);
+    } catch (error) {
+      if (this.#hello?.head === head) this.#fail(error);
+    }
   }
 
   /** Shows the next frame once its tiles have arrived or its wait is over, and late tiles. */
@@ -366,7 +377,7 @@ class Room {
       if (next) {
         this.#next = null;
         plain = await this.#plainPicture(next);
-        const pixels = await this.#pixels(next, head);
+        const pixels = await this.#pictures.read(next.picture, head);
         if (!pixels || this.#hello.head !== head) return;
         const { format, bytes } = pixels;
         this.#measurements.took('copy', performance.now() - started);
@@ -399,18 +410,6 @@ class Room {
     this.#tilesMissingSince ||= performance.now();
     if (performance.now() - this.#tilesMissingSince < FLAT_AFTER_MS) return null;
     return 'clone' in picture ? picture.clone() : createImageBitmap(picture);
-  }
-
-  /**
-   * Samples of a frame, or null on a timeout; later frames are then read from a canvas.
-   * @param {Decoded} of
-   * @param {SceneHead} head
-   */
-  async #pixels({ picture }, head) {
-    const late = new Promise((resume) => setTimeout(() => resume(null), COPY_TIMEOUT_MS));
-    const pixels = await Promise.race([pixelsOf(picture, head, this.#copySamples), late]).finally(() => picture.close());
-    if (!pixels) this.#copySamples = false;
-    return pixels;
   }
 
   /**

@@ -8,6 +8,7 @@ pub mod container;
 pub mod layers;
 pub mod live;
 mod parallel;
+pub mod rim;
 pub mod scene;
 pub mod simd;
 

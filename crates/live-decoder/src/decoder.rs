@@ -54,6 +54,12 @@ struct Format {
     top: u32,
 }
 
+/// Tiles are kept for a later frame if it is at most this many frames ahead. If it is farther, frames were not sent, and the shown tiles are
+/// older still.
+const MAX_AHEAD: u64 = 24;
+/// Maximum number of messages with such tiles; with more, the oldest are shown too early.
+const KEPT_TILES: usize = 16;
+
 /// Number of layers that marks a tile that keeps its layers.
 const UNCHANGED: u32 = u32::MAX;
 
@@ -82,8 +88,11 @@ pub struct Decoder {
     /// Capture time of the last frame, by the publisher's clock, and of the last frame at which the layers were updated.
     taken: Duration,
     shown: Duration,
-    /// Number of the last frame.
+    /// Number of the last frame, and whether it came since HELLO.
     number: u64,
+    has_frame: bool,
+    /// Tiles of later frames, which the browser has not decoded yet.
+    early: VecDeque<schema::Geometry>,
     /// Newest frame with tiles since the last update of the layers.
     tiles_of: Option<u64>,
     /// Why the last call failed.
@@ -116,8 +125,8 @@ impl Decoder {
                 let format = [matrix.code().into(), u8::from(full_range).into(), left.into(), top.into(), width.into(), height.into()];
                 Ok(self.store_numbers(2, &[&[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)][..], &format].concat()))
             }
-            Kind::Geometry(tiles) => self.take(3, &tiles),
-            Kind::Snapshot(tiles) => self.take(4, &tiles),
+            Kind::Geometry(tiles) => self.receive(3, tiles),
+            Kind::Snapshot(tiles) => self.receive(4, tiles),
             Kind::Sound(Sound { time, data }) => {
                 self.data = data;
                 Ok(self.store_numbers(5, &[time as f64]))
@@ -177,24 +186,52 @@ impl Decoder {
         self.formats.clear();
         self.codec.clone_from(&h.codec);
         self.tiles_of = None;
+        self.early.clear();
+        self.has_frame = false;
         self.data = format!("{}\n{}", h.codec, h.sound).into_bytes().into();
         Ok(self.store_numbers(1, &[&numbers[..], &[f64::from(h.sound_rate), f64::from(h.sound_channels), h.epoch as f64]].concat()))
     }
 
-    fn take(&mut self, kind: i32, tiles: &schema::Geometry) -> Result<i32, String> {
+    /// Takes tiles, or keeps them until their frame comes.
+    fn receive(&mut self, kind: i32, tiles: schema::Geometry) -> Result<i32, String> {
+        let number = tiles.frame;
+        let is_ahead = number > self.number && number - self.number <= MAX_AHEAD;
+        let count = if self.has_frame && is_ahead {
+            self.early.push_back(tiles);
+            self.take_early()?
+        } else {
+            self.take(&tiles)?
+        };
+        Ok(self.store_numbers(kind, &[number as f64, count as f64]))
+    }
+
+    /// Takes the kept tiles of frames up to the last one, and of the first if there are too many. Returns the number of tiles.
+    fn take_early(&mut self) -> Result<usize, String> {
+        let mut count = 0;
+        while let Some(first) = self.early.front()
+            && (first.frame <= self.number || self.early.len() > KEPT_TILES)
+        {
+            let tiles = self.early.pop_front().unwrap_or_default();
+            count += self.take(&tiles)?;
+        }
+        Ok(count)
+    }
+
+    fn take(&mut self, tiles: &schema::Geometry) -> Result<usize, String> {
         let model = self.model.as_mut().ok_or("tiles before HELLO")?;
         let taken = model.take(tiles).map_err(|e| e.to_string())?;
         for t in &taken {
             self.changed[*t as usize] = true;
         }
         self.tiles_of = self.tiles_of.max(Some(tiles.frame));
-        Ok(self.store_numbers(kind, &[tiles.frame as f64, taken.len() as f64]))
+        Ok(taken.len())
     }
 
-    /// Takes the input buffer as the next frame: its pixel format, number, and capture time in µs by the publisher's clock.
+    /// Takes the input buffer as the next frame: its pixel format, number, and capture time in µs by the publisher's clock. A previous one
+    /// that [`Self::layers`] has not shown is remembered for its tiles, which arrive later.
     ///
     /// # Errors
-    /// The input has a wrong length for the room's frame size.
+    /// The input has a wrong length for the room's frame size, or kept tiles are invalid.
     pub fn frame(&mut self, format: u32, number: u64, time: u64) -> Result<i32, String> {
         let (width, height) = self.size;
         let area = width as usize * height as usize;
@@ -207,8 +244,10 @@ impl Decoder {
         let (y, rest) = bytes.split_at(area);
         let colour = self.format_of(number).colour;
         let i420 = |u: &[u8], v: &[u8]| to_rgb(&I420 { width, height, y, u, v }, colour);
+        self.skip();
         self.taken = Duration::from_micros(time);
-        self.number = number;
+        (self.number, self.has_frame) = (number, true);
+        self.take_early()?;
         self.frame = match format {
             f if f == Pixels::I420 as u32 => i420(&rest[..chroma], &rest[chroma..]),
             f if f == Pixels::Nv12 as u32 => {
@@ -218,6 +257,13 @@ impl Decoder {
             _ => Some(Photo { width, height, rgb: bytes.as_chunks().0.iter().map(|&[r, g, b, _]| [r, g, b]).collect() }),
         };
         Ok(1)
+    }
+
+    /// Remembers the frame that was taken last and not shown.
+    fn skip(&mut self) {
+        if let Some(frame) = self.frame.take() {
+            self.layers.skip(&frame, self.number, self.taken.saturating_sub(self.shown));
+        }
     }
 
     /// Updates the layers to the last frame and tiles; returns the number of changed tiles. Stores these tiles, and a row for each layer of

@@ -35,11 +35,11 @@ async function drawViews({ seeds, poses, webgpu, width, height }) {
   const slope = (x, y, c) => 75 * [2 * x, 2 * y, x + 1 - y][c];
   const stripes = (i, c) => ((Math.floor(i / 7) * 37 + c * 80 + Math.floor(i / width) * 5) % 256) * 0.4;
   const colour = (i, c) => (c === 3 ? 255 : slope((i % width) / width, Math.floor(i / width) / height, c) + stripes(i, c));
+  for (const message of messages.slice(1)) decoder.read(message);
   decoder.frame(
     PIXELS.RGBA,
     Uint8Array.from({ length: head.width * head.height * 4 }, (_, i) => colour(i >> 2, i & 3)),
   );
-  for (const message of messages.slice(1)) decoder.read(message);
   const changed = decoder.layers();
   const atlas = new TileAtlas(head, 2048);
   const { numbers, places } = atlas.change(changed);

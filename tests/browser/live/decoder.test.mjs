@@ -8,6 +8,8 @@ import { TileAtlas } from '../../../static/live/tile-atlas.js';
 
 const file = (path) => readFileSync(new URL(`../../../${path}`, import.meta.url));
 const module = new WebAssembly.Module(file('static/live/decoder.wasm'));
+/** A frame after those of the seeds' tiles. */
+const LATER = { frame: 1000, time: 0 };
 const seed = (name) => file(`fuzz/seeds/message/${name}`);
 
 describe('the room decoder', () => {
@@ -25,7 +27,7 @@ describe('the room decoder', () => {
 
   test('shows nothing until all tiles have arrived', () => {
     const rgba = picture();
-    decoder.frame(PIXELS.RGBA, rgba);
+    decoder.frame(PIXELS.RGBA, rgba, LATER);
     assert.deepEqual(decoder.layers(), []);
     assert.equal(decoder.read(seed('geometry')).kind, 'tiles');
     assert.deepEqual(decoder.layers(), [], 'two tiles are missing');
@@ -58,9 +60,48 @@ describe('the room decoder', () => {
     assert.ok(same.every(Boolean), `${same.filter((v) => !v).length} pixels are in no layer`);
   });
 
-  test('adds the means along the borders as the atlas places them', () => {
+  test('keeps tiles until their frame has been decoded', () => {
     const rgba = picture();
     decoder.frame(PIXELS.RGBA, rgba);
+    const { frame, changed } = decoder.read(seed('snapshot'));
+    assert.ok(frame > 0);
+    assert.deepEqual([changed, decoder.layers()], [0, []]);
+    decoder.frame(PIXELS.RGBA, rgba, { frame, time: 0 });
+    assert.equal(decoder.layers().length, 6);
+  });
+
+  test('keeps tiles only for frames that will come soon', () => {
+    const rgba = picture();
+    const { frame } = decoder.read(seed('snapshot'));
+    const ahead = (frames) => {
+      decoder.read(seed('hello'));
+      decoder.frame(PIXELS.RGBA, rgba, { frame: frame - frames, time: 0 });
+      return decoder.read(seed('snapshot')).changed;
+    };
+    assert.deepEqual([ahead(frame), ahead(0), ahead(-30)], [0, 6, 6]);
+    // another publisher's first frame has not come
+    decoder.frame(PIXELS.RGBA, rgba);
+    decoder.read(seed('snapshot'));
+    decoder.read(seed('hello'));
+    assert.equal(decoder.read(seed('snapshot')).changed, 6);
+  });
+
+  test('rejects a frame whose kept tiles are broken, and shows the next one', () => {
+    const rgba = picture();
+    decoder.frame(PIXELS.RGBA, rgba);
+    const broken = seed('snapshot');
+    broken[broken.length - 1] ^= 255;
+    broken[broken.length - 9] ^= 255;
+    assert.equal(decoder.read(broken).changed, 0);
+    assert.throws(() => decoder.frame(PIXELS.RGBA, rgba, LATER));
+    decoder.read(seed('snapshot'));
+    decoder.frame(PIXELS.RGBA, rgba, LATER);
+    assert.equal(decoder.layers().length, 6);
+  });
+
+  test('adds the means along the borders as the atlas places them', () => {
+    const rgba = picture();
+    decoder.frame(PIXELS.RGBA, rgba, LATER);
     decoder.read(seed('snapshot'));
     const changed = decoder.layers();
     const atlas = new TileAtlas(head, 2048);

@@ -21,7 +21,7 @@ const AROUND: u32 = CONTEXT + 1;
 pub(super) const TURNS: u32 = 8;
 /// Duration of a frame at 30 a second. If frames are less frequent, several groups have their turn at once, so that none waits longer.
 pub(super) const TURN: Duration = Duration::from_micros(33_333);
-/// Maximum number of frames, after the frame of the last tiles, in which labels follow motion.
+/// Maximum number of shown frames, after the frame of the last tiles, in which labels follow motion.
 pub const MAX_MOTION_FRAMES: u32 = shown_frames::KEPT as u32;
 
 /// Layers and texels of all tiles, updated from frame to frame.
@@ -46,10 +46,12 @@ pub struct Layers {
     /// Number of frames in which labels follow motion.
     follows: u32,
     memory: Option<SeenBackground>,
-    /// The frame of the tiles received last, and the number of frames since.
+    /// The frame of the tiles received last, and the number of frames since: known ones until the tiles arrived, then shown ones.
     received: (Shown, u32),
     /// The previous frames, for tiles that arrive late.
     history: History,
+    /// Frames since the shown one that are not shown, oldest first; they join the history with the next shown frame.
+    skipped: Vec<Shown>,
     /// Number and capture time of the shown frame.
     now: (u64, Duration),
     /// Last known motion of the objects in each tile.
@@ -123,6 +125,20 @@ impl Layers {
         Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
     }
 
+    /// Remembers a frame that was captured `elapsed` after the shown one and is not shown itself: labels of its tiles, which arrive later,
+    /// then follow motion from this frame on. Ignores a frame whose size is not that of the shown one.
+    pub fn skip(&mut self, photo: &Photo, frame: u64, elapsed: Duration) {
+        if !self.remembers || photo.rgb.len() != self.words.len() || photo.width != self.photo.width {
+            return;
+        }
+        let mut words = vec![0; photo.rgb.len()];
+        packed_rgb::words(&photo.rgb, &mut words);
+        if self.skipped.len() >= shown_frames::kept(words.len()) {
+            self.skipped.remove(0);
+        }
+        self.skipped.push(Shown { number: frame, at: self.now.1 + elapsed, words });
+    }
+
     /// Updates to the next frame and tiles; `changed` is true for the tiles that differ from the previous call. If the tiles belong to an
     /// earlier frame, their labels follow the motion since then. Ignores a frame whose size is not the grid's.
     pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, when: FrameTiming) -> Changes {
@@ -147,8 +163,10 @@ impl Layers {
             self.memory = self.remembers.then(|| SeenBackground::new(*grid));
             self.motion_vectors = vec![None; grid.tiles() as usize];
             self.history.clear();
+            self.skipped.clear();
         } else if self.remembers && when.elapsed.is_some() {
             self.history.add(Shown { number: self.now.0, at: self.now.1, words: last });
+            self.skipped.drain(..).for_each(|skipped| self.history.add(skipped));
         }
         self.now = (when.frame, self.now.1 + when.elapsed.unwrap_or_default());
         let moved_geometry = if self.remembers { self.move_labels(geometry, &surface, when, &mut changed) } else { None };

@@ -2,6 +2,7 @@
 
 use super::MAX_PLANES;
 use super::label_motion::DEPTH_STEP;
+use crate::rim::{has_chroma_share, has_share};
 use crate::scene::packed_rgb::of_word;
 use crate::{Geometry, Plane, Rect, Tile, TileFrame};
 
@@ -14,11 +15,6 @@ const MIN_UNPLACED: usize = 40;
 const RIMS: usize = 2;
 /// Radius of the window whose colours decide whether a pixel joins.
 const WINDOW: usize = 3;
-/// Minimum share of the object's colour in a pixel that joins. Video halves the resolution of colour, so the rim of an object has its colour
-/// and the brightness of the background: a tenth to a third of the way between both.
-const JOIN: f32 = 0.1;
-/// Minimum distance between the colours of object and background, in levels.
-const CONTRAST: f32 = 12.0;
 
 /// The tiles and pictures that labels move in.
 #[derive(Clone, Copy)]
@@ -190,16 +186,12 @@ impl Side {
     }
 }
 
-/// Whether a colour has a share of more than [`JOIN`] of the near side's.
+/// Whether a colour has a share of the near side's.
 fn joins(colour: [u8; 3], near: &Side, far: &Side) -> bool {
-    let (mut dot, mut norm) = (0.0, 0.0);
-    for ((c, near_sum), far_sum) in colour.into_iter().zip(near.sum).zip(far.sum) {
-        let (f, b) = (near_sum / near.count, far_sum / far.count);
-        dot += (f32::from(c) - b) * (f - b);
-        norm += (f - b) * (f - b);
-    }
-    // false if a side has no colours
-    norm > CONTRAST * CONTRAST && dot > JOIN * norm
+    // not finite if a side has no colours
+    let sides = [0, 1, 2].map(|i| (near.sum[i] / near.count, far.sum[i] / far.count));
+    let (above, step) = ([0, 1, 2].map(|i| f32::from(colour[i]) - sides[i].1), sides.map(|(near, far)| near - far));
+    has_share(above, step) || has_chroma_share(above, step)
 }
 
 /// Adds a plane to a tile for some of its pixels.
@@ -231,13 +223,12 @@ mod tests {
         Geometry { grid, intrinsics: Intrinsics::centred(W, W, 50.0), view_box: ViewBox::cube(0.03), tiles, matte_band: 0 }
     }
 
-    /// Columns of the near plane in each row after a motion of 3 pixels to the right, in a frame whose column `20 + n` has `rim[n]` of the
-    /// near colour.
-    fn near_columns(rim: &[f32]) -> Vec<u32> {
+    /// Columns of the near plane in each row after a motion of 3 pixels to the right, in a frame whose column `20 + n` has the colour
+    /// `rim[n]`, and the others to the right the far colour.
+    fn near_columns(rim: &[[u8; 3]]) -> Vec<u32> {
         let geometry = geometry(20 - 3);
         let surface = geometry.surface();
-        let share = |x: u32| if x < 20 { 1.0 } else { rim.get(x as usize - 20).copied().unwrap_or(0.0) };
-        let colour = |x: u32| [0, 1, 2].map(|c| (f32::from(FAR[c]) + share(x) * (f32::from(NEAR[c]) - f32::from(FAR[c]))) as u8);
+        let colour = |x: u32| if x < 20 { NEAR } else { rim.get(x as usize - 20).copied().unwrap_or(FAR) };
         let now: Vec<u32> = (0..W * W).map(|i| colour(i % W)).map(|[r, g, b]| u32::from_le_bytes([r, g, b, 0])).collect();
         let changed = vec![1; (W * W) as usize];
         let labels = Labels { geometry: &geometry, delta: surface.all(), now: &now, near_change: &changed };
@@ -247,8 +238,17 @@ mod tests {
 
     #[test]
     fn pixels_with_a_share_of_the_objects_colour_join_it() {
-        for (rim, columns) in [(&[][..], 20), (&[0.2], 21), (&[0.05], 20), (&[0.6, 0.2], 22), (&[-0.2], 20)] {
-            assert_eq!(near_columns(rim), vec![columns; W as usize], "{rim:?}");
+        let mixed = |share: f32| [0, 1, 2].map(|c| (f32::from(FAR[c]) + share * (f32::from(NEAR[c]) - f32::from(FAR[c]))) as u8);
+        for (rim, columns) in [(&[][..], 20), (&[0.3], 21), (&[0.15], 20), (&[0.6, 0.3], 22), (&[-0.1], 20)] {
+            let rim: Vec<[u8; 3]> = rim.iter().map(|share| mixed(*share)).collect();
+            assert_eq!(near_columns(&rim), vec![columns; W as usize], "{rim:?}");
+        }
+        // half of the object's chroma, and the brightness of the wall or less
+        for luma in [0.0, 20.0] {
+            let step = [0, 1, 2].map(|c| f32::from(NEAR[c]) - f32::from(FAR[c]));
+            let grey = 0.2126 * step[0] + 0.7152 * step[1] + 0.0722 * step[2];
+            let rim = [0, 1, 2].map(|c| (f32::from(FAR[c]) + 0.5 * (step[c] - grey) - luma).max(0.0) as u8);
+            assert_eq!(near_columns(&[rim]), vec![21; W as usize], "{rim:?}");
         }
     }
 

@@ -1,13 +1,13 @@
-//! The last shown frames, for tiles that arrive after their frame.
+//! The last frames, for tiles that arrive after their frame.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Maximum number of frames kept, and of large frames. Tiles that are later count as this late.
-pub(super) const KEPT: usize = 12;
+pub(super) const KEPT: usize = 24;
 const KEPT_LARGE: usize = 6;
-/// Pixels of all kept frames, unless that is less than [`KEPT_LARGE`] frames: 16 MB.
-const PIXELS: usize = 4_000_000;
+/// Pixels of all kept frames, unless that is less than [`KEPT_LARGE`] frames: 32 MB.
+const PIXELS: usize = 8_000_000;
 
 /// Number and time of a frame that is to be shown, and the frame of its tiles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -21,7 +21,7 @@ pub struct FrameTiming {
     pub elapsed: Option<Duration>,
 }
 
-/// A shown frame.
+/// A frame, which was shown or skipped.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shown {
     pub number: u64,
@@ -29,6 +29,11 @@ pub(super) struct Shown {
     pub at: Duration,
     /// Colours, as words.
     pub words: Vec<u32>,
+}
+
+/// Number of frames of this many pixels that are kept.
+pub(super) fn kept(pixels: usize) -> usize {
+    (PIXELS / pixels.max(1)).clamp(KEPT_LARGE, KEPT)
 }
 
 /// The last frames, newest first.
@@ -45,13 +50,12 @@ impl History {
         if self.0.front().is_some_and(|last| last.number >= frame.number) {
             self.0.clear();
         }
-        let kept = (PIXELS / frame.words.len().max(1)).clamp(KEPT_LARGE, KEPT);
-        self.0.truncate(kept - 1);
+        self.0.truncate(kept(frame.words.len()) - 1);
         self.0.push_front(frame);
     }
 
-    /// The frame with this number, or the first after it if it was never shown, and its distance in frames from the next frame to come.
-    /// `None` if nothing was shown since.
+    /// The frame with this number, or the first after it if it is not known, and its distance in known frames from the next frame to come.
+    /// `None` if no frame is known since.
     pub fn since(&self, number: u64) -> Option<(&Shown, u32)> {
         let count = self.0.iter().take_while(|shown| shown.number >= number).count();
         Some((self.0.get(count.checked_sub(1)?)?, count as u32))
@@ -63,7 +67,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_next_shown_frame_replaces_one_that_was_never_shown() {
+    fn fewer_large_frames_are_kept() {
+        let mut history = History::default();
+        for number in 0..10 {
+            history.add(Shown { number, words: vec![0; PIXELS / KEPT_LARGE + 1], ..Shown::default() });
+        }
+        assert_eq!(history.0.len(), KEPT_LARGE);
+    }
+
+    #[test]
+    fn the_next_known_frame_replaces_an_unknown_one() {
         let mut history = History::default();
         assert!(history.since(0).is_none());
         for number in [3, 4, 6, 9] {

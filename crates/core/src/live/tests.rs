@@ -133,8 +133,8 @@ proptest! {
                 photo.rgb[at as usize] = [colour as u8, (colour >> 8) as u8, at as u8];
             }
             kept.update(&now, changed, photo.clone(), after(elapsed));
-            // until everything is remembered, and every hidden colour has had its turn since
-            for _ in 0..=u32::from(STEADY) + 1 + TURNS {
+            // until no label follows, everything is remembered, and every hidden colour has had its turn since
+            for _ in 0..=MAX_MOTION_FRAMES + u32::from(STEADY) + 1 + TURNS {
                 kept.update(&now, |_| false, photo.clone(), after(elapsed));
             }
             let masks = now.masks();

@@ -84,7 +84,7 @@ impl<'a> Prepared<'a> {
         let placement = Placement { neighbour, ..options.placement(options.max_error, most) };
         let map = match without {
             Without::Median => self.given,
-            Without::FarRims => &edges::join_rims(&self.photo, &self.snapped, edges::PHOTO_RIM),
+            Without::FarRims => &edges::join_rims(&self.photo, &self.snapped, edges::Rim::Photo),
             Without::FullMedian => &edges::full_median(&self.photo, self.given),
             _ => &self.snapped,
         };

@@ -36,7 +36,7 @@ fn cleaned(bench: &Bench, how: Cleaning, photo: &Photo, map: &DisparityMap) -> R
         (Cleaning::Off, _) | (Cleaning::Theta, None) => (map.clone(), None),
         (Cleaning::Classic, _) => (median_guided::denoise(photo, map), None),
         (Cleaning::Auto, _) => (local_planes::denoise(map), None),
-        (Cleaning::Snap, _) => (edges::snap(photo, map, edges::PHOTO_RIM), None),
+        (Cleaning::Snap, _) => (edges::snap(photo, map, edges::Rim::Photo), None),
         (Cleaning::Theta, Some(_)) if !theta::wanted(map) => (map.clone(), None),
         (Cleaning::Theta, Some(theta)) => {
             let (map, confidence) = theta::run(theta.as_ref(), photo, map)?;

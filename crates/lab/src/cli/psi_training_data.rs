@@ -19,7 +19,7 @@ pub(super) fn layers(scene: &Scene, picture: &Picture, degraded: bool) -> Vec<u8
     let (photo, camera) = (&picture.photo, scene.camera());
     let (w, h) = (photo.width, photo.height);
     let map = if degraded {
-        edges::snap(photo, &depth::halved(&picture.disparity), edges::PHOTO_RIM)
+        edges::snap(photo, &depth::halved(&picture.disparity), edges::Rim::Photo)
     } else {
         edges::median(photo, &picture.disparity)
     };

@@ -13,7 +13,7 @@ use tmpi_testing::pictures::noise;
 pub(super) fn run(checked: &mut Checked) {
     denoise(checked, "local planes", local_planes::denoise);
     denoise(checked, "median and guided filter", |map| median_guided::denoise(&grey(map.width, map.height, |_, _| 128), map));
-    snap(checked, "snap", |photo, map| edges::snap(photo, map, edges::PHOTO_RIM));
+    snap(checked, "snap", |photo, map| edges::snap(photo, map, edges::Rim::Photo));
     snap(checked, "median", edges::median);
     enlarge(checked, upsample);
     resize(checked, |file, (w, h)| from_map(file, DepthKind::Disparity, &Limits::default(), w, h).ok().map(|(map, _)| map));

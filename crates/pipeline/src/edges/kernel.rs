@@ -1,15 +1,14 @@
 //! Kernels of edge snapping, which run row by row.
 
 use fearless_simd::{Level, Simd, f32x8, prelude::*};
+use tmpi_core::rim::{has_chroma_share, has_share};
 use tmpi_core::simd::dispatch;
 
 use super::window_rows::{Band, LANES, Lanes, REACH, exp2};
-use super::{EDGE, MEDIAN, OWN, RADIUS, RAMP, SIDE, SIGMA_COLOUR, SIGMA_PLACE};
+use super::{EDGE, MEDIAN, OWN, RADIUS, RAMP, Rim, SIDE, SIGMA_COLOUR, SIGMA_PLACE};
 
 /// Added to each weight of a side, so that sides far from a colour still compare.
 const TINY: f32 = 1e-20;
-/// Contrast, in levels, below which two sides have about the same colour.
-const CONTRAST: f32 = 12.0;
 /// Room for the values of the median's window.
 const VALUES: usize = 40;
 /// Most values that are compared at once.
@@ -184,12 +183,12 @@ fn up_to<S: Simd>(simd: S, values: &[f32], weights: &[f32], of: &[Lanes; ROOM / 
 }
 
 dispatch!(
-    /// Gives far pixels of row `y` that touch the near side, and whose colour has more than the share `rim` of its, the near side's δ.
-    pub(super) joins, joins_body, (band: &Band, tables: &Tables, rim: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32])
+    /// Gives far pixels of row `y` that touch the near side, and whose colour has a share of its ([`Rim`]), the near side's δ.
+    pub(super) joins, joins_body, (band: &Band, tables: &Tables, rim: Rim, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32])
 );
 
 #[inline(always)]
-fn joins_body(band: &Band, tables: &Tables, rim: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+fn joins_body(band: &Band, tables: &Tables, rim: Rim, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     let last = out.len() - 1;
     for (x, ((o, &lo), &hi)) in out.iter_mut().zip(lo).zip(hi).enumerate() {
         let step = hi - lo;
@@ -219,15 +218,10 @@ fn joins_body(band: &Band, tables: &Tables, rim: f32, y: usize, lo: &[f32], hi: 
         if near[4] < 1.0 || far[4] < 1.0 {
             continue;
         }
-        let own = band.colour(x, y);
-        let (mut dot, mut norm) = (0f32, 0f32);
-        for i in 0..3 {
-            let (f, b) = (near[i] / near[4], far[i] / far[4]);
-            dot += (own[i] - b) * (f - b);
-            norm += (f - b) * (f - b);
-        }
-        // sides of about the same colour say nothing
-        if norm > CONTRAST * CONTRAST && dot > rim * norm {
+        let sides = [0, 1, 2].map(|i| (near[i] / near[4], far[i] / far[4]));
+        let (own, step) = (band.colour(x, y), sides.map(|(near, far)| near - far));
+        let above = [0, 1, 2].map(|i| own[i] - sides[i].1);
+        if has_share(above, step) || rim == Rim::Video && has_chroma_share(above, step) {
             *o = near[3] / near[4];
         }
     }

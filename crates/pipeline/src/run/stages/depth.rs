@@ -237,7 +237,7 @@ pub(crate) fn apply_strokes(context: &mut Context, photo: &Photo, mut map: Weigh
 /// # Errors
 /// [`MakeError`] if there is no time left.
 pub fn snap_to_video(context: &mut Context, photo: &Photo, map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
-    snap(context, photo, map, (edges::VIDEO_RIM, false))
+    snap(context, photo, map, (edges::Rim::Video, false))
 }
 
 /// Stage that snaps the ramps of blurred maps to a photo's edges, and widens things in a network's map that are too small, unless
@@ -247,14 +247,14 @@ pub fn snap_to_video(context: &mut Context, photo: &Photo, map: WeightedDisparit
 /// [`MakeError`] if there is no time left.
 pub fn snap_and_widen(context: &mut Context, photo: &Photo, map: WeightedDisparity) -> Result<WeightedDisparity, MakeError> {
     let widens = !map.given && context.options.snap == Switch::Auto;
-    snap(context, photo, map, (edges::PHOTO_RIM, widens))
+    snap(context, photo, map, (edges::Rim::Photo, widens))
 }
 
 fn snap(
     context: &mut Context,
     photo: &Photo,
     mut map: WeightedDisparity,
-    (rim, widens): (f32, bool),
+    (rim, widens): (edges::Rim, bool),
 ) -> Result<WeightedDisparity, MakeError> {
     let stage = context.begin("snap")?;
     let switch = context.options.snap;
