@@ -49,6 +49,17 @@ pub struct TileBudget {
     pub spare: usize,
 }
 
+/// Milliseconds that the depth of a frame took.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DepthTime {
+    /// From start to end.
+    pub ms: f64,
+    /// The network's part of it.
+    pub network_ms: f64,
+    /// Processor time that this process used meanwhile, for depth or anything else; `None` or 0 if unknown.
+    pub cpu_ms: Option<f64>,
+}
+
 /// Time budget of a frame's geometry, with the costs measured so far.
 #[derive(Clone, Debug)]
 pub struct Budget {
@@ -62,6 +73,9 @@ pub struct Budget {
     plane: Cost,
     /// At index n, the fraction of tiles that need more than n planes.
     more_than: Vec<f64>,
+    /// Processor time of this process per millisecond of depth, at most 1; less while other programs use the processor. Other rooms raise
+    /// it.
+    processor: Cost,
     /// Frames since depth was last estimated.
     waited: u32,
     /// Pixels of the network's last input, and whether a larger size exists.
@@ -75,6 +89,7 @@ impl Budget {
             frame_ms: if frame_ms > 0.0 { frame_ms } else { f64::INFINITY },
             network: Cost::default(),
             overhead: Cost::default(),
+            processor: Cost::default(),
             plane: Cost::default(),
             more_than: Vec::new(),
             waited: 0,
@@ -86,7 +101,8 @@ impl Budget {
     /// empty. It is the largest size that takes less than twice depth's share of the frame.
     ///
     /// If even the smallest takes longer, depth runs only as often as its share allows; returns `None` if it is not due yet. With `at_once`
-    /// it is always due.
+    /// it is always due. Time in which other programs use the processor does not count here: it does not become shorter if depth runs less
+    /// often.
     pub fn depth(&mut self, sizes: &[(u32, u32)], at_once: bool) -> Option<usize> {
         let pixels = |i: usize| sizes.get(i).map_or(0.0, |(w, h)| f64::from(*w) * f64::from(*h));
         let fits = |i: &usize| {
@@ -95,7 +111,8 @@ impl Budget {
         };
         let last = sizes.len().saturating_sub(1);
         let chosen = (0..last).find(fits).unwrap_or(last);
-        let share = self.depth_ms(pixels(chosen)) / (DEPTH_SHARE * self.frame_ms);
+        let own = self.depth_ms(pixels(chosen)) * self.processor.value.unwrap_or(1.0);
+        let share = own / (DEPTH_SHARE * self.frame_ms);
         let due = at_once || f64::from(self.waited) + 1.0 >= share.floor();
         self.waited = if due { 0 } else { self.waited + 1 };
         if due {
@@ -108,9 +125,10 @@ impl Budget {
         self.overhead.get() + self.network.get() * pixels
     }
 
-    /// Records the time that depth took, and the network's part of it, at the chosen size.
-    pub fn depth_took(&mut self, ms: f64, network_ms: f64) {
-        if ![ms, network_ms].iter().all(|ms| ms.is_finite() && *ms >= 0.0) {
+    /// Records the time that depth took at the chosen size. Ignores times that are not finite or negative.
+    pub fn depth_took(&mut self, DepthTime { ms, network_ms, cpu_ms }: DepthTime) {
+        let cpu_ms = cpu_ms.filter(|cpu_ms| cpu_ms.abs() > 0.0).unwrap_or(ms);
+        if ![ms, network_ms, cpu_ms].iter().all(|ms| ms.is_finite() && *ms >= 0.0) {
             return;
         }
         let network_ms = network_ms.min(ms);
@@ -118,6 +136,7 @@ impl Budget {
             self.network.record(network_ms / self.size.0);
         }
         self.overhead.record(ms - network_ms);
+        self.processor.record(if ms > 0.0 { (cpu_ms / ms).min(1.0) } else { 1.0 });
     }
 
     /// Decides how many planes the `waiting` tiles get in the rest of the frame: as many as they need, up to `most`, if that fits; otherwise

@@ -10,6 +10,7 @@ use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::planes::MAX_AUTO_PLANES;
 use tmpi_pipeline::run::Context;
 use tmpi_pipeline::run::stages::{WarmStart, WeightedDisparity};
+use tmpi_pipeline::usage::Clock;
 use tmpi_pipeline::{MakeError, Models, Options, PlaneCount, Silent, StageTime, layers};
 
 use crate::align;
@@ -17,7 +18,7 @@ use crate::change::{BLOCK, Change, Compare};
 use crate::depth_recheck::Rechecks;
 use crate::tile_displacement::tile_displacement;
 use crate::tile_queue::Queue;
-use crate::{Budget, TileBudget};
+use crate::{Budget, DepthTime, TileBudget};
 
 mod depth;
 
@@ -242,11 +243,12 @@ impl FramePipeline {
         if !cooling_down && state.stale.contains(&true) {
             let sizes = if measured { Vec::new() } else { models.depth.sizes(frame.photo.width, frame.photo.height) };
             if let Some(size) = self.budget.depth(&sizes, measured || !has_depth) {
-                let before = Instant::now();
+                let clock = Clock::start();
                 let part = if has_depth { state.stale_part(change.across) } else { None };
                 update.depth_size = sizes.get(size).copied();
                 let map = estimate(&mut job, frame, update.depth_size, part)?;
-                self.budget.depth_took(ms(before), job.network_ms);
+                let cpu_ms = (!models.depth.may_use_device()).then(|| clock.cpu_ms());
+                self.budget.depth_took(DepthTime { ms: clock.ms(), network_ms: job.network_ms, cpu_ms });
                 state.merge_depth(map, has_depth && !measured, change.across);
             }
         }

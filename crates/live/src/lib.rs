@@ -32,6 +32,6 @@ mod tile_displacement;
 mod tile_queue;
 pub mod video;
 
-pub use frame_budget::{Budget, TileBudget};
+pub use frame_budget::{Budget, DepthTime, TileBudget};
 pub use frame_pipeline::{BUDGET_MS, COOLDOWN, Frame, FramePipeline, GeometryError, MAX_ERROR, PARALLAX, Settings, Update};
 pub use tile_displacement::tile_displacement;

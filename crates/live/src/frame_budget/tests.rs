@@ -8,6 +8,11 @@ fn pixels(i: usize) -> f64 {
     f64::from(SIZES[i].0) * f64::from(SIZES[i].1)
 }
 
+/// Depth on an idle machine.
+fn time(ms: f64, network_ms: f64) -> DepthTime {
+    DepthTime { ms, network_ms, cpu_ms: Some(ms) }
+}
+
 /// A simulated machine that takes `load` times as long for everything.
 #[derive(Clone, Copy)]
 struct Machine {
@@ -43,7 +48,7 @@ impl Machine {
     fn frame(self, budget: &mut Budget, waiting: usize) -> (Option<usize>, TileBudget, f64, f64) {
         let size = budget.depth(&SIZES, false);
         if let Some(i) = size {
-            budget.depth_took(self.depth(i), self.network(i));
+            budget.depth_took(time(self.depth(i), self.network(i)));
         }
         let share = budget.tiles(waiting, Some(6));
         let planes: Vec<usize> = (0..waiting).map(|t| Self::planes(t, share.planes)).collect();
@@ -102,9 +107,36 @@ fn depth_that_fits_at_no_size_skips_frames() {
     assert!((0..10).all(|_| budget.depth(&SIZES, true) == Some(3)));
     // an estimator without a choice of sizes skips frames too
     let mut single = Budget::new(30.0);
-    single.depth_took(0.0, 0.0);
-    single.depth_took(60.0, 0.0);
+    single.depth_took(time(0.0, 0.0));
+    single.depth_took(time(60.0, 0.0));
     assert_eq!((0..30).filter(|_| single.depth(&[], false).is_some()).count(), 10);
+}
+
+#[test]
+fn other_programs_make_depth_smaller_but_not_less_frequent() {
+    let count = |cpu_share: Option<f64>| {
+        let mut budget = Budget::new(20.0);
+        let mut sizes = Vec::new();
+        for _ in 0..100 {
+            if let Some(i) = budget.depth(&SIZES, false) {
+                let machine = Machine { load: 20.0 };
+                budget.depth_took(DepthTime {
+                    cpu_ms: cpu_share.map(|s| s * machine.depth(i)),
+                    ..time(machine.depth(i), machine.network(i))
+                });
+                sizes.push(i);
+            }
+        }
+        assert!(sizes.iter().skip(2).all(|i| *i == 3), "{sizes:?}");
+        sizes.len()
+    };
+    // the smallest size takes 180 ms, of which the budget allows 12 a frame
+    assert!((6..12).contains(&count(Some(1.0))), "{}", count(Some(1.0)));
+    assert!(count(Some(0.05)) > 85, "{}", count(Some(0.05)));
+    // unknown processor time counts as all of it
+    for unknown in [None, Some(0.0)] {
+        assert_eq!(count(unknown), count(Some(1.0)));
+    }
 }
 
 #[test]
@@ -141,8 +173,9 @@ fn invalid_times_are_ignored() {
     let mut budget = measured(30.0, 1.0, 30);
     let before = (budget.depth(&SIZES, false), budget.tiles(36, Some(6)));
     for wild in [f64::NAN, f64::INFINITY, -5.0] {
-        budget.depth_took(wild, 1.0);
-        budget.depth_took(wild, wild);
+        budget.depth_took(time(wild, 1.0));
+        budget.depth_took(time(wild, wild));
+        budget.depth_took(DepthTime { cpu_ms: Some(wild), ..time(1.0, 1.0) });
         budget.tiles_took(&[1, 2], true, wild);
     }
     budget.tiles_took(&[], true, 9.0);
@@ -150,7 +183,7 @@ fn invalid_times_are_ignored() {
     // a cost of zero always fits
     let mut free = Budget::new(1e-9);
     (0..5).for_each(|_| {
-        free.depth_took(0.0, 0.0);
+        free.depth_took(time(0.0, 0.0));
         free.tiles_took(&[6; 9], true, 0.0);
     });
     assert_eq!((free.depth(&SIZES, false), free.tiles(1000, Some(6))), (Some(0), TileBudget { planes: None, spare: usize::MAX - 1000 }));

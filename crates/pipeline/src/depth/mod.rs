@@ -98,6 +98,11 @@ pub trait Estimator: Send + Sync {
         Vec::new()
     }
 
+    /// Whether it may wait for a graphics device, so that processor time does not tell what it costs.
+    fn may_use_device(&self) -> bool {
+        false
+    }
+
     /// Like [`Estimator::estimate`], with the network at one of [`Estimator::sizes`]. Nothing else depends on this size.
     ///
     /// # Errors

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use crate::Models;
 use crate::depth::{ADAPTERS, Adapter, DepthError, Estimate, Estimator, Monocular, SizeRule};
 use crate::networks::library::Once;
-use crate::networks::{Config, ExternalData, Network, OnnxError, Session, Tensor, onnx_graph};
+use crate::networks::{Config, ExternalData, Network, OnnxError, Provider, Session, Tensor, onnx_graph};
 use tmpi_core::{DisparityMap, Photo};
 
 #[cfg(embedded = "depth")]
@@ -187,6 +187,10 @@ impl Estimator for Depth {
 
     fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
         self.get().map_or_else(|_| Vec::new(), |network| network.sizes(width, height))
+    }
+
+    fn may_use_device(&self) -> bool {
+        self.settings.onnx.providers.iter().any(|provider| *provider != Provider::Cpu)
     }
 
     fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<Estimate, DepthError> {
