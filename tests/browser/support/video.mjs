@@ -25,16 +25,19 @@ export function planes(n, times = 1) {
   const [width, height] = [WIDTH * times, HEIGHT * times];
   const out = Buffer.alloc((width * height * 3) / 2);
   const chroma = (width * height) / 4;
+  const [us, vs] = [new Float64Array(chroma), new Float64Array(chroma)];
   for (let y = 0; y < height; y++) {
     for (let x = 0; x < width; x++) {
       const [luma, u, v] = sample(n, x / times, y / times);
       out[y * width + x] = Math.round(luma);
-      if (x % 2 || y % 2) continue;
-      const at = width * height + (y / 2) * (width / 2) + x / 2;
-      out[at] = Math.round(u);
-      out[at + chroma] = Math.round(v);
+      // a camera's chroma is the mean of four pixels
+      const at = (y >> 1) * (width / 2) + (x >> 1);
+      us[at] += u / 4;
+      vs[at] += v / 4;
     }
   }
+  out.set(us.map(Math.round), width * height);
+  out.set(vs.map(Math.round), width * height + chroma);
   return out;
 }
 

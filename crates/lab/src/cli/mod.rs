@@ -8,6 +8,7 @@ mod ghosts;
 mod live_bench;
 mod psi_training_data;
 mod synth;
+mod tears;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -32,6 +33,7 @@ enum Command {
     Ghosts(ghosts::GhostArgs),
     LiveBench(Box<live_bench::LiveBenchArgs>),
     Synth(synth::SynthArgs),
+    Tears(tears::TearsArgs),
 }
 
 /// Runs the program; exit code 0, 1 (failed) or 2 (usage).
@@ -53,6 +55,7 @@ pub fn main() -> ExitCode {
         Command::Ghosts(args) => ghosts::run(&args),
         Command::LiveBench(args) => live_bench::run(&args),
         Command::Synth(args) => synth::run(&args),
+        Command::Tears(args) => tears::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

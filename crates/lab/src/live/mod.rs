@@ -6,6 +6,7 @@ mod seams;
 pub mod sequence;
 mod side_view;
 pub mod sweep;
+pub mod tears;
 mod tiles;
 
 use std::path::PathBuf;
