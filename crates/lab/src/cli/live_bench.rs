@@ -7,6 +7,7 @@ use clap::CommandFactory;
 use clap::error::ErrorKind;
 
 use super::{Cli, note, result, size};
+use crate::live::encode::H264;
 use crate::live::sweep::OperatingPoint;
 use crate::{files, live};
 use tmpi_core::live::MAX_PIXELS;
@@ -41,14 +42,11 @@ pub(super) struct LiveBenchArgs {
     models: ModelFlags,
 }
 
-/// Bits per second and pixel, as on the publishing page (`static/live/encoders.js`): 384 kbit/s at 320×240.
-const RATE: f64 = 5.0;
-
 /// All combinations of size, bit rate and budget.
 fn points(args: &LiveBenchArgs) -> Vec<OperatingPoint> {
     let mut points = Vec::new();
     for &size in &args.size {
-        let usual = [(RATE * f64::from(size.0) * f64::from(size.1)) as u32];
+        let usual = [H264::usual_bitrate(size)];
         let bitrates: &[u32] = if args.bitrate.is_empty() { &usual } else { &args.bitrate };
         for &bitrate in bitrates {
             points.extend(args.budget_ms.iter().map(|&budget_ms| OperatingPoint { size, bitrate, budget_ms }));

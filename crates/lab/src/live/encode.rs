@@ -29,6 +29,11 @@ impl H264 {
     /// Codec string, as sent by publishers.
     pub const CODEC: &'static str = "avc1.42e01e";
 
+    /// Bits per second of the publishing page (`static/live/encoders.js`), 5 for each pixel: 384 kbit/s at 320×240.
+    pub const fn usual_bitrate((width, height): (u32, u32)) -> u32 {
+        5 * width * height
+    }
+
     /// Creates an encoder for frames of this size at 30 frames and `bitrate` bits per second.
     ///
     /// # Errors

@@ -15,7 +15,7 @@ use tmpi_render::{Cpu, Renderer};
 use super::encode::H264;
 use crate::LabError;
 
-/// Frames of a film, in which the box swings ten times, each time at other positions between pixels.
+/// Frames of a film, in which the box swings ten times, each time in another phase.
 pub const FRAMES: u32 = 593;
 /// Frames of one swing.
 const PERIOD: f64 = 59.3;
@@ -70,8 +70,7 @@ pub struct Settings {
 /// # Errors
 /// If the frame size is not supported, or a stage fails.
 pub fn count(settings: &Settings, case: &Case, picture: &mut dyn FnMut(u32, bool, &Photo, f64)) -> Result<Count, LabError> {
-    let rate = 5.0 * f64::from(case.size.0) * f64::from(case.size.1);
-    let mut encoder = H264::new(case.size, rate as u32)?;
+    let mut encoder = H264::new(case.size, H264::usual_bitrate(case.size))?;
     let mut decoder = video::decoder(H264::CODEC, case.size)?;
     let options = Options { max_error: tmpi_live::MAX_ERROR, view_box: Options::VIEW_BOX, ..Options::default() };
     let room = Room { options, parallax: tmpi_live::PARALLAX, cooldown: COOLDOWN, frame_ms: case.budget_ms };
