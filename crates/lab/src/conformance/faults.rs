@@ -68,6 +68,9 @@ const FAULTS: &[Fault] = &[
     fault("snapping", &["median"], &["one value, unchanged", "one row, unchanged"], |c| {
         map_filters::snap(c, "median", |photo, map| shifted(edges::median(photo, map)));
     }),
+    fault("snapping", &["widen"], &["a thing 3 pixels too small"], |c| {
+        map_filters::snap(c, "widen", edges::median);
+    }),
     fault("enlarging", &["guided filter"], &["noise by noise", "one pixel", "one value to 16 times the size"], |c| {
         map_filters::enlarge(c, |photo, map| shifted(upsample(photo, map)));
     }),

@@ -15,6 +15,7 @@ pub(super) fn run(checked: &mut Checked) {
     denoise(checked, "median and guided filter", |map| median_guided::denoise(&grey(map.width, map.height, |_, _| 128), map));
     snap(checked, "snap", |photo, map| edges::snap(photo, map, edges::Rim::Photo));
     snap(checked, "median", edges::median);
+    snap(checked, "widen", edges::widen);
     enlarge(checked, upsample);
     resize(checked, |file, (w, h)| from_map(file, DepthKind::Disparity, &Limits::default(), w, h).ok().map(|(map, _)| map));
     labels(checked, smooth_labels);
@@ -115,7 +116,7 @@ pub(super) fn denoise(checked: &mut Checked, subject: &'static str, kernel: impl
     }
 }
 
-/// `kernel` draws ramps to the photo's edges.
+/// `kernel` draws ramps to the photo's edges, or moves edges to those of the photo.
 pub(super) fn snap(checked: &mut Checked, subject: &'static str, kernel: impl Fn(&Photo, &DisparityMap) -> DisparityMap) {
     const FAMILY: &str = "snapping";
     let edge = |w, h| grey(w, h, move |x, _| if x < w / 2 { 20 } else { 230 });
@@ -137,6 +138,12 @@ pub(super) fn snap(checked: &mut Checked, subject: &'static str, kernel: impl Fn
             checked.case(FAMILY, name, subject, "δ", 0.02, || apart(&kernel(&edge(60, 40), &blurred), &step));
         }
     }
+    if subject == "widen" {
+        let small = map(60, 40, |x, _| if x < 27 { 0.2 } else { 0.8 });
+        let photo = grey(60, 40, |x, _| if x < 24 { 20 } else { 230 });
+        let thing = map(60, 40, |x, _| if x < 24 { 0.2 } else { 0.8 });
+        checked.case(FAMILY, "a thing 3 pixels too small", subject, "δ", 1e-6, || apart(&kernel(&photo, &small), &thing));
+    }
     let wild = map(50, 40, even(3));
     let sixteen = map(50, 40, |x, y| (even(4)(x, y) * 65_535.0).round() / 65_535.0 * 1e-3);
     let zigzag = map(50, 40, |x, _| (x as i32 % 10 - 5).unsigned_abs() as f32 / 5.0);
@@ -149,7 +156,7 @@ pub(super) fn snap(checked: &mut Checked, subject: &'static str, kernel: impl Fn
         ("zigzag in one column", column),
     ];
     for (name, before) in all {
-        // three passes look 3, 2 and 3 pixels around
+        // three passes look 3, 2 and 3 pixels around; edges are widened by up to 6
         checked.case(FAMILY, &format!("{name}, no new values"), subject, "δ out of range", 0.0, || {
             beyond(&before, &kernel(&edge(before.width, before.height), &before), 8)
         });

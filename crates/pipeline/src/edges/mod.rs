@@ -1,6 +1,7 @@
 //! Edge snapping. Depth networks blur depth edges into ramps. Ramps would get planes of their own and show as ghost contours, so their
 //! pixels are given to one side or the other by colour.
 
+mod extremes;
 mod kernel;
 mod widen;
 mod window_rows;
@@ -11,6 +12,7 @@ use rayon::prelude::*;
 
 use fearless_simd::Level;
 
+use self::extremes::extremes;
 use self::kernel::Tables;
 use self::window_rows::Band;
 use tmpi_core::{DisparityMap, Photo};
@@ -72,7 +74,8 @@ pub fn join_rims(photo: &Photo, delta: &DisparityMap, rim: Rim) -> DisparityMap 
 /// Share, 0 to 1, of the pixels near strong depth edges that lie on a ramp between the two sides: their δ is between the sides over 7×7
 /// and over 3×3 pixels, and much of the step lies within the 3×3. Exact maps have almost none, however many surfaces meet there.
 pub fn ramp_share(delta: &DisparityMap) -> f64 {
-    let ((lo, hi), (near_lo, near_hi)) = (extremes(delta, RADIUS), extremes(delta, 1));
+    let w = delta.width as usize;
+    let ((lo, hi), (near_lo, near_hi)) = (extremes(&delta.delta, w, RADIUS), extremes(&delta.delta, w, 1));
     let between = |d: f32, lo: f32, hi: f32| (d - lo) > 0.1 * (hi - lo) && (d - lo) < 0.9 * (hi - lo);
     let (mut ramp, mut edge) = (0usize, 0usize);
     for (i, &d) in delta.delta.iter().enumerate() {
@@ -107,7 +110,7 @@ pub fn full_median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
 /// Runs `f` over each row with the extremes of δ within `radius` of its pixels. The output starts as a copy of the row.
 fn each(photo: &Photo, delta: &DisparityMap, radius: usize, f: impl Fn(&Band, usize, &[f32], &[f32], &mut [f32]) + Sync) -> DisparityMap {
     let w = delta.width as usize;
-    let (lo, hi) = extremes(delta, radius);
+    let (lo, hi) = extremes(&delta.delta, w, radius);
     let mut out = delta.delta.clone();
     out.par_chunks_mut(w * ROWS).enumerate().for_each_init(Band::default, |band, (i, rows)| {
         let first = i * ROWS;
@@ -117,47 +120,6 @@ fn each(photo: &Photo, delta: &DisparityMap, radius: usize, f: impl Fn(&Band, us
         }
     });
     DisparityMap { width: delta.width, height: delta.height, delta: out }
-}
-
-/// Smallest and largest value of a `(2r+1)²` window.
-fn extremes(delta: &DisparityMap, radius: usize) -> (Vec<f32>, Vec<f32>) {
-    let (w, h) = (delta.width as usize, delta.height as usize);
-    rayon::join(|| extreme(&delta.delta, w, h, radius, lowest), || extreme(&delta.delta, w, h, radius, highest))
-}
-
-/// The smaller number. It is a single vector instruction, unlike `f32::min`, which must ignore NaN; the map is finite.
-fn lowest(a: f32, b: f32) -> f32 {
-    if b < a { b } else { a }
-}
-
-/// The larger number, like [`lowest`].
-fn highest(a: f32, b: f32) -> f32 {
-    if b > a { b } else { a }
-}
-
-/// One of the extremes, by rows and then by columns.
-fn extreme(d: &[f32], w: usize, h: usize, r: usize, pick: impl Fn(f32, f32) -> f32 + Sync) -> Vec<f32> {
-    let merge = |to: &mut [f32], from: &[f32]| {
-        for (o, v) in to.iter_mut().zip(from) {
-            *o = pick(*o, *v);
-        }
-    };
-    let mut rows = vec![0.0; d.len()];
-    rows.par_chunks_mut(w).zip(d.par_chunks(w)).for_each(|(out, line)| {
-        out.copy_from_slice(line);
-        for off in 1..=r.min(w - 1) {
-            merge(&mut out[..w - off], &line[off..]);
-            merge(&mut out[off..], &line[..w - off]);
-        }
-    });
-    let mut out = vec![0.0; d.len()];
-    out.par_chunks_mut(w).enumerate().for_each(|(y, out)| {
-        out.copy_from_slice(&rows[y * w..(y + 1) * w]);
-        for yy in y.saturating_sub(r)..(y + r + 1).min(h) {
-            merge(out, &rows[yy * w..(yy + 1) * w]);
-        }
-    });
-    out
 }
 
 #[cfg(test)]

@@ -5,7 +5,8 @@ use std::ops::{Range, RangeInclusive};
 
 use rayon::prelude::*;
 
-use super::{SIDE, extreme, highest};
+use super::SIDE;
+use super::extremes::{extreme, highest};
 use tmpi_core::{DisparityMap, Photo};
 
 /// How far an edge moves at most, in pixels.
@@ -40,10 +41,9 @@ const NEIGHBOURS: usize = 2;
 /// `tmpi-lab ghosts` shows what this gains.
 pub fn widen(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let (w, h) = (delta.width as usize, delta.height as usize);
-    let mut edges =
-        Edges { photo, given: &delta.delta, around: extreme(&delta.delta, w, h, REACH, highest), out: delta.delta.clone(), w, h };
+    let mut edges = Edges { photo, given: &delta.delta, around: extreme(&delta.delta, w, REACH, highest), out: delta.delta.clone(), w, h };
     let mut front: Vec<usize> = {
-        let beside = extreme(&delta.delta, w, h, 1, highest);
+        let beside = extreme(&delta.delta, w, 1, highest);
         (0..w * h).into_par_iter().filter(|&i| beside[i] - delta.delta[i] > STEP).collect()
     };
     for _ in 0..REACH {
